@@ -3,8 +3,8 @@
     python benchmarks/sizes.py [--scenes N] [--frames N] [--figure FILE] [--json FILE]
 
 Worlds have 1 to 4 agents, two items and three landmarks, or two agents and 1 to 8 landmarks. Each
-random scene gets roles from ``ppl.roles.draw``. A decision is one step of one agent, by the fast
-planner. A frame is read with one set of searches. Figures are CPU milliseconds without each
+random scene gets a hypothesis from ``ppl.roles.draw``. A decision is one step of one agent, by the
+fast planner. A frame is read with one set of searches. Figures are CPU milliseconds without each
 world's first scene, in which code is compiled. Beside them stands the number of combinations of
 goals, with which cost should not grow.
 """

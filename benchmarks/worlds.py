@@ -91,10 +91,12 @@ def measure(options: argparse.Namespace, out: Path) -> None:
 
 
 def to_get_somewhere(world: ppl.World, seed: int) -> Hypothesis | None:
-    """Draw roles; those in which somebody wants to get or keep something away are refused."""
-    roles = ppl.roles.draw(world, seed)
-    own = [world.goals[goal] for goal in roles.stated if goal is not None]
-    return None if any(" away from " in goal for goal in own) else roles
+    """Draw a hypothesis; None where somebody wants to get or keep something away."""
+    drawn = ppl.roles.draw(world, seed)
+    own = [
+        goal for goal, other in zip(drawn.goals.values(), drawn.towards, strict=True) if not other
+    ]
+    return None if any(" away from " in goal for goal in own) else drawn
 
 
 def probability_of_true_goals(evaluation: ppl.Evaluation) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import defined
 from phase_ppl.analysis.estimate import Estimate, shares, worth
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses, with_errors
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
@@ -29,7 +29,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.picture import plain, preformatted, wrapped
+from phase_ppl.world.picture import LABEL, bars, plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -305,6 +305,38 @@ class EventPosterior(Hypotheses):
         """Return what a summary has of the posterior as a whole."""
         return {"diagnostics": self.diagnostics()}
 
+    def _answers(self) -> dict[str, Any]:
+        """Return what summaries have of goals, relation, scenario and strengths, with errors."""
+        goals = {a: dict(with_errors(self.marginal(name))) for a, name in self.goals_of.items()}
+        found: dict[str, Any] = {"goals": goals}
+        for name in (*self.relations_of.values(), *self.scenarios_of.values()):
+            found[name] = dict(with_errors(self.marginal(name)))
+        found["strengths"] = {}
+        for agent, name in self.strengths_of.items():
+            (_, low), (_, high) = with_errors(self.hdi(name))
+            numbers = {"mean": self.mean(name), "sd": self.sd(name)}
+            found["strengths"][agent] = {**numbers, "hdi_low": low, "hdi_high": high}
+        return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
+
+    def _answer_lines(self) -> list[str]:
+        """Return the lines of a table about goals, relation, scenario and strengths."""
+        lines: list[str] = []
+        for agent, name in self.goals_of.items():
+            lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
+        for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
+            untried = self._untried(name)
+            entries = [(one, None if one in untried else p) for one, p in self.top(name, 4)]
+            lines += bars(label, entries)
+        for place, (agent, name) in enumerate(self.strengths_of.items()):
+            low, high = self.hdi(name).values
+            text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
+            lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
+        return lines
+
+    def _untried(self, name: str) -> frozenset[str]:
+        """Return the labels of a quantity that nothing was simulated for, where anything was."""
+        return frozenset()
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
 
@@ -488,3 +520,11 @@ class EventPosterior(Hypotheses):
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)
+
+
+def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:
+    """Return a part of every estimate in nested dictionaries."""
+    return {
+        name: _of_each(one, part) if isinstance(one, dict) else part(one)
+        for name, one in found.items()
+    }

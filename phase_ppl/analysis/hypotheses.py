@@ -39,7 +39,7 @@ from phase_ppl.world.errors import (
     check_name,
     whole_number,
 )
-from phase_ppl.world.picture import LABEL, Printed, bars
+from phase_ppl.world.picture import Printed
 from phase_ppl.world.space import HypothesisSpace
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ class Hypotheses(Printed):
     def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
         """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
         n = whole_number("n", n)
-        found = _estimates(self.marginal(name, given=given))
+        found = with_errors(self.marginal(name, given=given))
         return sorted(found, key=lambda entry: -entry[1])[:n]
 
     def mode(self, name: str, *, given: Given = None) -> Mode:
@@ -427,40 +427,6 @@ class Hypotheses(Printed):
         columns = {name: columns[name] for name in (*self._rows.index, *self._quantities)}
         return pd.DataFrame({**columns, "weight": self._rows.weights})
 
-    # --- in short ------------------------------------------------------------------------------
-
-    def _answers(self) -> dict[str, Any]:
-        """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        goals = {a: dict(_estimates(self.marginal(name))) for a, name in self.goals_of.items()}
-        found: dict[str, Any] = {"goals": goals}
-        for name in (*self.relations_of.values(), *self.scenarios_of.values()):
-            found[name] = dict(_estimates(self.marginal(name)))
-        found["strengths"] = {}
-        for agent, name in self.strengths_of.items():
-            (_, low), (_, high) = _estimates(self.hdi(name))
-            numbers = {"mean": self.mean(name), "sd": self.sd(name)}
-            found["strengths"][agent] = {**numbers, "hdi_low": low, "hdi_high": high}
-        return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
-
-    def _answer_lines(self) -> list[str]:
-        """Return the lines of a table about goals, relation, scenario and strengths."""
-        lines: list[str] = []
-        for agent, name in self.goals_of.items():
-            lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
-        for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
-            untried = self._untried(name)
-            entries = [(one, None if one in untried else p) for one, p in self.top(name, 4)]
-            lines += bars(label, entries)
-        for place, (agent, name) in enumerate(self.strengths_of.items()):
-            low, high = self.hdi(name).values
-            text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
-            lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
-        return lines
-
-    def _untried(self, name: str) -> frozenset[str]:
-        """Return the labels of a quantity that nothing was simulated for, where anything was."""
-        return frozenset()
-
     # --- rows, conditions, and how far answers differ between chains ---------------------------
 
     def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
@@ -630,19 +596,11 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _estimates(found: xr.DataArray) -> list[tuple[str, Estimate]]:
+def with_errors(found: xr.DataArray) -> list[tuple[str, Estimate]]:
     """Return labels and values with their errors, of an array with one dimension."""
     columns = (found[found.dims[0]].values, found.values, found["error"].values)
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return [(label, Estimate(value, error)) for label, value, error in rows]
-
-
-def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:
-    """Return a part of every estimate in nested dictionaries."""
-    return {
-        name: _of_each(one, part) if isinstance(one, dict) else part(one)
-        for name, one in found.items()
-    }
 
 
 def _clause(quantity: Quantity, wanted: object) -> Clause:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ from phase_ppl.analysis.stepwise_table import Table
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray, equal_rows
 
+if TYPE_CHECKING:
+    from phase_ppl.models.effective import Values
+
 Sites = dict[str, tuple[Quantity, NDArray[Any]]]  # further ones, and their columns
-Values = tuple[tuple[str, tuple[float, ...]], ...]  # of further sites, all that there are
 
 _GROUPS: Final = 20
 _DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
@@ -126,7 +128,7 @@ def _summed(
     from phase_ppl.models.effective import log_masses
 
     likelihood = table.log_likelihood(frame).reshape(-1, 1)
-    log_prior = log_masses(prior, np.array(table.levels), values).reshape(len(likelihood), -1)
+    log_prior = log_masses(prior, table.levels, values).reshape(len(likelihood), -1)
     shares = np.exp(_log_shares(log_prior + likelihood))
     places, value = np.nonzero(shares > _LEAST)
     codes = np.unravel_index(value, [len(options) for _, options in values])

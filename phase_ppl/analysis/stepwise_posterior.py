@@ -22,7 +22,8 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
-from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, Table, dimensions, table_of
+from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
+from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
@@ -69,10 +70,9 @@ class StepwisePosterior(EventPosterior):
     ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
     Args:
-        found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
+        found: what was read (:mod:`phase_ppl.analysis.stepwise_file`).
         frame: the posterior given the frames up to this one; by default all.
-        prior: the program whose masses ``found`` has, for questions about further sites of it, in
-            PHASE.
+        prior: the program whose masses ``found`` has, for questions about further sites of it.
         scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
         table: of ``found``, if there is one.
 
@@ -204,7 +204,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
+        """What was read: see :func:`phase_ppl.analysis.stepwise_file.dimensions`."""
         return self._found
 
     @property

@@ -14,7 +14,6 @@ were drawn with: then sums are Monte-Carlo means.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple, Self
@@ -24,21 +23,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.stepwise_file import APART, as_written_now
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.closed_loop.frame_likelihood import log_likelihoods
-from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
+from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.space import HypothesisSpace, space_of
-
-SCHEMA: Final = "phase_ppl/stepwise/3"
-_OF_PAIRS: Final = "phase_ppl/stepwise/2"  # in PHASE, log likelihoods by pair of goals
-SCHEMAS: Final = (
-    *(SCHEMA, _OF_PAIRS, "phase_ppl/stepwise-roles/1"),
-    *("phase_ppl/stepwise-own/1", "phase_ppl/stepwise-own-roles/1"),
-)
-"""Of files of what was read step by step; all but the first are of older versions."""
 
 MOST_HYPOTHESES: Final = 500_000  # hypotheses that are summed over; of more, so many are drawn
 MOST_FOLLOWED: Final = 50_000
@@ -48,157 +40,12 @@ MOST_READ: Final = 100_000
 """Hypotheses, goals with strengths, that a simulator of one's own is asked about at most."""
 
 MOST_ROWS: Final = 400_000
-"""Rows of one table at most, each a hypothesis with a combination of strengths."""
+"""Hypotheses with combinations of strengths up to which all are in one table, where strengths are
+independent of goals; of more, strengths are drawn."""
 
 _LEAST: Final = 1e-12  # hypotheses with a smaller share of the mass of the best are left out
 _FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
 _GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
-
-# --- files ----------------------------------------------------------------------------------------
-
-_ATTRS: Final = ("event_id", "settings", "cost", "weight")
-_ALWAYS: Final = {
-    "combinations": ("combination", "agent"),
-    "unexplained": ("time",),
-    "trajectory": ("time", "entity", "coord"),
-}
-_BY_AGENTS: Final = {
-    "strengths": ("time", "combination"),
-    "actions": ("time", "agent", "action"),
-    "held": ("time", "agent"),
-    "log_peak": ("time",),
-}
-_POLICIES: Final = {
-    "density": ("time", "joint_action"),
-    "policies": ("time", "agent", "policy", "planner_seed", "action"),
-    "policy_of": ("time", "agent", "standpoint"),
-    "shift": ("time", "table"),
-}
-_READ: Final = {
-    "goals": ("read", "agent"),
-    "log_likelihood": ("time", "read", "combination"),
-    "log_likelihood_without": ("part", "time", "read", "combination"),
-}
-_APART: Final = {
-    "log_prior_goals": ("agent", "goal"),
-    "log_prior_company": ("way",),
-    "log_prior_strengths": ("agent", "level"),
-}
-
-
-def dimensions(space: HypothesisSpace) -> dict[str, tuple[str, ...]]:
-    """Return variable of a file -> its dimensions, of all that a file can have.
-
-    ``strengths`` are the probabilities of their combinations, whatever the goals, given the frames
-    so far and equal ones before; ``actions`` those of what each agent did to come to a frame;
-    ``unexplained`` says by how many nats the best joint action leaves the frame less probable than
-    one that is exactly where an action puts it, whose log density is ``log_peak``.
-    ``log_likelihood`` is the log density of a frame given those before it, by effective goals, NaN
-    where a simulator was not asked; then ``unexplained`` is by how many nats the frame is less
-    probable than on the nearest of its samples, NaN without. The rest is in
-    :mod:`phase_ppl.closed_loop.goal_filter`.
-    """
-    more = {"marginals": ("time", "agent", "goal"), "log_prior": space.kept_columns}
-    return {**_ALWAYS, **_BY_AGENTS, **_POLICIES, **_READ, **_APART, **more}
-
-
-def labels(space: HypothesisSpace, levels: tuple[float, ...]) -> dict[str, list[Any]]:
-    """Return dimension -> its labels, of those that have some."""
-    ways = [str(tuple(one[1] if one else 0 for one in way)) for way in space.ways]
-    return {
-        "agent": list(space.world.agents),
-        "action": list(ACTION_NAMES),
-        "goal": list(space.world.goals),
-        **{key: list(space.world.goals) for key in space.stated_sites},
-        space.company_site: ways,
-        **{key: list(levels) for key in space.strength_sites},
-    }
-
-
-def _as_now(found: xr.Dataset) -> xr.Dataset:
-    """Return what an older version wrote as this one does."""
-    schema = found.attrs.get("schema")
-    if schema == SCHEMA:
-        return found
-    found = found.copy()
-    if "strength_red" in found.dims:
-        levels = [found[name].values for name in ("strength_red", "strength_green")]
-        found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
-    if "policies" in found:
-        n = found.sizes["planner_seed"]
-        tables = np.zeros((found.sizes["time"], 1 + (n if n > 1 else 0)))
-        found["shift"] = _POLICIES["shift"], tables
-    if schema == _OF_PAIRS:
-        pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
-        with_pairs = {
-            name: (("planner_seed", "time")[1 - many :], found[name].values)
-            for many, name in enumerate(("log_likelihood", "log_likelihood_without"))
-        }
-        strengths = found["strengths"].values
-        found = found.drop_dims(("goal_red", "goal_green")).drop_vars("strengths")
-        found["goals"] = _READ["goals"], pairs
-        found["strengths"] = _BY_AGENTS["strengths"], strengths.reshape(len(strengths), -1)
-        for name, (dims, values) in with_pairs.items():
-            found[name] = (*dims, "read"), values.reshape(*values.shape[:-2], len(pairs))
-    return found.assign_attrs(schema=SCHEMA)
-
-
-def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
-    """Raise InvalidEventError, naming what is missing or wrong, unless ``found`` was read."""
-    is_own, is_read = "samples" in found.attrs, "log_likelihood" in found
-    known = dimensions(space)
-    names = {*_ALWAYS, *(() if is_own else _BY_AGENTS), *(_READ if is_read else _POLICIES)}
-    names |= {"log_prior"} if "log_prior" in found else {*_APART}
-    missing = [name for name in _ATTRS if name not in found.attrs]
-    if missing := sorted((*missing, *(name for name in names if name not in found.variables))):
-        raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    if is_read and not is_own:  # goals and strengths apart
-        known |= {"log_likelihood": ("time", "read")}
-        known |= {"log_likelihood_without": ("planner_seed", "time", "read")}
-    for name in names:
-        if found[name].dims != known[name]:
-            raise InvalidEventError(
-                f"{name} has dimensions {found[name].dims}, expected {known[name]}"
-            )
-    sizes = {name: len(each) for name, each in labels(space, ()).items() if each}
-    sizes |= {"way": len(space.ways), "joint_action": N_ACTIONS**space.n_agents}
-    for name, size in sizes.items():
-        if found.sizes.get(name, size) != size:
-            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
-    if is_read and not is_own and found.sizes["planner_seed"] == 1:
-        raise InvalidEventError("planner_seed has 1 entry, expected none or several")
-    for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy", 0))):
-        if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
-            raise InvalidEventError(f"{name} has a code outside 0 to {top - 1}")
-    for name in names & {"log_likelihood", "density", "strengths", "log_prior_company", "shift"}:
-        values = found[name].values
-        unasked = name == "log_likelihood" and is_own
-        if (np.isnan(values).any() and not unasked) or (values == np.inf).any():
-            raise InvalidEventError(f"{name} has values that are no log densities")
-
-
-def table_of(found: xr.Dataset) -> Table:
-    """Return the hypotheses about a video that was read step by step.
-
-    Raises:
-        InvalidEventError: ``found`` lacks something; the message names it.
-    """
-    if found.attrs.get("schema") not in SCHEMAS:
-        raise InvalidEventError(
-            f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
-            f"expected {SCHEMA!r}, or an older one"
-        )
-    try:
-        space = space_of(kept_world(found))
-    except (ValueError, LookupError, TypeError, PhasePPLError) as error:
-        raise InvalidEventError(f"its world cannot be read: {error}") from None
-    try:
-        found = _as_now(found)
-    except KeyError as error:
-        raise InvalidEventError(f"it lacks {error.args[0]}") from None
-    _check(found, space)
-    return Table(found)
-
 
 # --- the prior ------------------------------------------------------------------------------------
 
@@ -235,7 +82,7 @@ class Prior:
         if self.log_prior is not None:
             self.n_hypotheses = math.prod(self.log_prior.shape[: space.n_agents + 1])
             return
-        self.log_goals, self.log_company, self._log_strengths = (kept[name] for name in _APART)
+        self.log_goals, self.log_company, self._log_strengths = (kept[name] for name in APART)
         for way, towards in enumerate(space.ways):
             owners = [agent for agent, one in enumerate(towards) if one is None]
             if np.isfinite(self.log_company[way]):
@@ -407,7 +254,7 @@ class Table:
     """Hypotheses about a video, and their log masses at any frame; :func:`table_of` makes it.
 
     Attributes:
-        found: variables of :func:`dimensions`, as this version writes them.
+        found: variables of :mod:`phase_ppl.analysis.stepwise_file`, as this version writes them.
         space: the hypotheses of the world.
         prior: which of them there are.
         sampled: whether hypotheses were drawn.
@@ -423,12 +270,10 @@ class Table:
         self.own = "samples" in found.attrs
         self.samples = int(found.attrs["samples"]) if self.own else None
         self.is_exact = self.samples == 0
-        kept = {name: found[name].values for name in ("log_prior", *_APART) if name in found}
+        kept = {name: found[name].values for name in ("log_prior", *APART) if name in found}
         self.prior = Prior(self.space, kept, found["combinations"].values)
         self.sampled = self.prior.n_hypotheses > MOST_HYPOTHESES
         self._sums = -1, np.empty(0)  # the last frame that is summed up, and the sums
-        if self.own:
-            self._check_was_read()
 
     def extended(self, found: xr.Dataset) -> Self:
         """Return the table of the same video with further frames, which goes on from this one.
@@ -438,11 +283,12 @@ class Table:
         """
         after = type(self)(found)
         if not self.sampled:  # others are drawn by what all frames say
-            names = ("prior", "hypotheses", "_places", "_numbers", "_sums")
+            names = ("prior", "hypotheses", "_log_prior", "_places", "_numbers", "_sums")
             vars(after).update({name: vars(self)[name] for name in names if name in vars(self)})
         return after
 
-    def _check_was_read(self) -> None:
+    def check_was_read(self) -> None:
+        """Raise InvalidSettingError unless the simulator was asked about all that has mass."""
         prior = np.isfinite(self._log_prior)
         known = (self.points[self._place] == self.hypotheses.goals).all(axis=1)
         read = ~np.isnan(self.found["log_likelihood"].values[0][self._place])
@@ -665,23 +511,23 @@ class Table:
         if self.own:
             return self._masses(frame, self._weight).reshape(self.n_tables, -1)
         masses = self.log_masses(frame)
-        if not self._with_strengths:
+        if not self._with_strengths(len(self.hypotheses.way)):
             return masses
         with np.errstate(divide="ignore"):
             strengths = np.log(self.strengths(frame))
         return np.asarray((masses[:, :, None] + strengths).reshape(len(masses), -1))
 
-    @property
-    def _with_strengths(self) -> bool:
-        """Whether all hypotheses with all strengths are few enough to be in one table."""
-        return len(self.hypotheses.way) * len(self.combinations) <= MOST_ROWS
+    def _with_strengths(self, n: int) -> bool:
+        """Whether so many hypotheses with all strengths are in one table."""
+        depend = self.own or self.prior.log_prior is not None
+        return depend or n * len(self.combinations) <= MOST_ROWS
 
     def all_columns(self) -> dict[str, NDArray[Any]]:
         """Return the codes of all hypotheses, with all strengths unless these are too many."""
-        if not self._with_strengths:
+        n_rows, n = len(self.hypotheses.way), len(self.combinations)
+        if not self._with_strengths(n_rows):
             return self.columns()
-        n = len(self.combinations)
-        return self.columns(*np.divmod(np.arange(len(self.hypotheses.way) * n), n))
+        return self.columns(*np.divmod(np.arange(n_rows * n), n))
 
     def columns(
         self, rows: IntArray | None = None, combination: IntArray | None = None
@@ -705,15 +551,15 @@ class Table:
         """Return hypotheses with any mass to speak of, and (set, row) weights without each set."""
         weights, n = self.weights(frame), len(self.combinations)
         kept = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
-        if len(kept) * n <= MOST_ROWS:
-            strengths = self.strengths(frame)
-            strengths = strengths[kept] if len(strengths) > 1 else strengths
-            weights = weights[:, kept, None] * strengths
+        if self._with_strengths(len(kept)):
             if self.own:  # each part of the samples has strengths of its own
                 weights = _shares(
                     self._masses(frame, self._weight)[:, kept].reshape(len(weights), -1)
                 )
-            weights = weights.reshape(len(weights), -1)
+            else:
+                strengths = self.strengths(frame)
+                strengths = strengths[kept] if len(strengths) > 1 else strengths
+                weights = (weights[:, kept, None] * strengths).reshape(len(weights), -1)
             some = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
             row, combination = np.divmod(some, n)
             kept, weights = kept[row], weights[:, some]
@@ -734,6 +580,23 @@ class Table:
         combination = strengths[row if len(strengths) > 1 else 0].argmax()
         columns = self.columns(np.array([row]), np.array([combination]))
         return {name: column[0].item() for name, column in columns.items()}
+
+
+def table_of(found: xr.Dataset) -> Table:
+    """Return the hypotheses about a video that was read step by step.
+
+    Args:
+        found: as of :mod:`phase_ppl.analysis.stepwise_file`, of this version or an older one.
+
+    Raises:
+        InvalidEventError: ``found`` lacks something; the message names it.
+        InvalidSettingError: the prior has mass on hypotheses that the simulator was not asked
+            about.
+    """
+    table = Table(as_written_now(found))
+    if table.own:
+        table.check_was_read()
+    return table
 
 
 def _shares(log_masses: FloatArray) -> FloatArray:

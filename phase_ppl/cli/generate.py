@@ -29,7 +29,7 @@ def generate(options: Options) -> int:
             several times; $FILE, which registers it
         --out DIR: required
         --world NAME: $WORLDS; other worlds than PHASE without --cell, and all with --prior, give
-            random scenes with roles; $FILE
+            random scenes; $FILE
         --prior NAME: of goals and relations in random scenes, default uniform; $FILE
         $planner
         $seed

@@ -99,7 +99,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         possible_agents: all agents.
         agents: the same during an episode, else empty.
         scene: of this episode.
-        roles: goals and relations of this episode.
+        roles: the hypothesis of this episode.
     """
 
     metadata: ClassVar[dict[str, Any]] = {

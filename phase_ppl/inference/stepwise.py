@@ -15,14 +15,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_table import (
-    SCHEMA,
-    Prior,
-    Table,
-    dimensions,
-    labels,
-    table_of,
-)
+from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
+from phase_ppl.analysis.stepwise_table import Prior, Table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
@@ -212,7 +206,7 @@ class Watch:
         return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_file`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)

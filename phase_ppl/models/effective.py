@@ -394,12 +394,13 @@ def enumerable(prior: Program) -> Values | None:
     return tuple((name, site.values) for name, site in sites.items() if site.values is not None)
 
 
-def log_masses(prior: Program, levels: FloatArray, values: Values) -> FloatArray:
+def log_masses(prior: Program, levels: tuple[float, ...], values: Values) -> FloatArray:
     """Return log prior masses of hypotheses, an axis for each site, and values of further sites.
 
     The last axis has all combinations of the further sites' values, the last site's fastest.
+    Levels of strength are in newtons, ascending.
     """
-    table = prior_table(prior, tuple(np.asarray(levels).tolist()), values)
+    table = prior_table(prior, levels, values)
     n, before = len(values), len(space_of_prior(prior).limits)
     further = range(before, before + n)
     table = np.moveaxis(table, further, range(-n, 0))

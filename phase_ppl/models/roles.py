@@ -50,7 +50,7 @@ from phase_ppl.world.space import COMPANY_SITE, space_of
 
 __all__ = ["company", "draw", "goals", "strengths", "uniform"]
 
-_DRAWS: Final = 1000  # of roles, until all can act on their goals
+_DRAWS: Final = 1000  # of hypotheses, until all can act on their goals
 _PRIORS_KEPT: Final = 8
 
 RolePrior = Callable[[World], object]
@@ -78,9 +78,9 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Hyp
 
     Args:
         world: whose agents and goals.
-        seed: the same seed gives the same roles.
-        prior: NumPyro program of a world, or a ready-made one. Those in which somebody helps or
-            hinders and has nothing to do are not drawn.
+        seed: the same seed gives the same hypothesis.
+        prior: NumPyro program of a world, or a ready-made one. Hypotheses in which somebody helps
+            or hinders and has nothing to do are not drawn.
 
     Raises:
         InvalidSettingError: it gives (nearly) all mass to others.
@@ -118,7 +118,7 @@ def is_of_any_world(prior: object) -> bool:
 
 
 def role_prior(prior: Callable[..., object], world: World) -> RolePrior:
-    """Return the prior over roles that a model's prior stands for.
+    """Return the program of a world that a model's prior stands for.
 
     Raises:
         InvalidSettingError: it is of PHASE only.

@@ -3,7 +3,7 @@
 SIMPLE compares the video with one free-running simulation, which drifts away from it in contact
 even under the true hypothesis. Here each frame is predicted from the frames before it: what the
 agents would do now, by the same planner at what was seen, and where that would put them. There is
-no noise of simulations in it but the planner's own, and all pairs of goals are read at once.
+no noise of simulations in it but the planner's own, and all combinations of goals are read at once.
 
 A simulator of one's own that can go on from what was seen is read likewise, under every hypothesis
 that has prior mass, strengths along with goals.
@@ -66,7 +66,8 @@ class StepwiseLikelihood:
         weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
             simulator of one's own.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
-            with errors unknown. Only the most probable pairs of goals are searched by all sets.
+            with errors unknown. All sets search for the most probable combinations of goals only,
+            or for all where there are more than 50 000 hypotheses.
         tracking: how hidden velocities, holds and strengths are followed.
         samples: next frames of a simulator of one's own, for each hypothesis and frame.
 
@@ -122,7 +123,8 @@ def stepwise_prior(
     if space_of(world).is_listed:
         further = json.dumps(list(effective.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
-    masses = roles.masses(effective.as_given(prior), world)
+    assert isinstance(prior, roles.WorldPrior), "hypotheses of PHASE are few enough"
+    masses = roles.masses_of(prior)
     found = {
         "log_prior_goals": masses.goals,
         "log_prior_company": masses.company,

@@ -94,15 +94,6 @@ RELATION_TABLE: Final = np.array(
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
 
-ALPHA_WORDS: Final = (
-    "neither helps nor hinders",
-    "red helps green",
-    "green helps red",
-    "red hinders green",
-    "green hinders red",
-)
-"""The same in words."""
-
 
 @functools.cache
 def effective_table() -> NDArray[np.int32]:
@@ -183,9 +174,10 @@ class Hypothesis(Printed):
 
     Attributes:
         world: whose agents and goals.
-        stated: (agent,) own goal of each, an index into ``world.goals``; None of one without.
-            ``goal_<agent>``, with the agents' ``world.keys``, is the same; of one without, what it
-            would want for itself as it does for whom it helps or hinders.
+        stated: (agent,) own goal of each, an index into ``world.goals``. That of one who helps or
+            hinders has no effect, and may be None. ``goal_<agent>``, with the agents'
+            ``world.keys``, is the same; for None it is what it would want for itself as it does for
+            whom it helps or hinders.
         towards: (agent,) another agent, and 1 where it is helped, -1 where it is hindered; None.
         strengths: (agent,) maximum forces, newtons; ``strength_<agent>`` is one of them.
 
@@ -386,7 +378,7 @@ class Hypothesis(Printed):
                 "relation_between, scenario_between or stances"
             )
         what, _, key = name.partition("_")
-        if what not in ("goal", "strength"):  # asked before there is a world, by pickle
+        if what not in ("goal", "strength"):
             raise AttributeError(f"a hypothesis has no {name}")
         if key not in self.world.keys:
             raise AttributeError(f"a hypothesis about {self.world.name!r} has no {name}")
@@ -430,7 +422,7 @@ class Hypothesis(Printed):
                 raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
             return cls(**record)
         if not isinstance(record.get("goals"), Mapping):
-            raise InvalidSettingError("roles need goals, by the names of agents")
+            raise InvalidSettingError("a hypothesis needs goals, by the names of agents")
         told = record.get("relation", [])
         if not isinstance(told, list) or not all(isinstance(r, list) and len(r) == 3 for r in told):
             raise InvalidSettingError(

@@ -33,15 +33,11 @@ def is_shown(shown: bool | None) -> bool:
 
 
 class Bar(tqdm):
-    """A bar on stderr; ``shown`` None: where that is a terminal, and in notebooks.
-
-    Its rate is ``steady_rate`` or, without one, the mean since the beginning.
-    """
+    """A bar on stderr; ``shown`` None: where that is a terminal, and in notebooks."""
 
     # for threads alone: tqdm's default is also a semaphore of the system, which is reported as
     # leaked if a worker process is killed
     _lock: ClassVar = threading.RLock()
-    steady_rate: float | None = None
 
     def __init__(
         self,
@@ -57,7 +53,8 @@ class Bar(tqdm):
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        return {**super().format_dict, "rate": self.steady_rate}
+        # None: the mean since the beginning; tqdm's own follows the last few items
+        return {**super().format_dict, "rate": None}
 
 
 def counted(

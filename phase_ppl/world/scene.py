@@ -7,6 +7,7 @@ it can have walls of its own. All names come from the world.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import itertools
@@ -84,7 +85,6 @@ class World:
         name: name of the world.
         touchable: entities that goals of touching can name; None: all agents and items.
         quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
-        quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
             else rooms are found from the walls.
         predicates: up to 8 user-defined goals.
 
@@ -121,8 +121,9 @@ class World:
             )
         places, colours = self.landmarks, self.colours or {}
         if isinstance(places, (list, tuple)) and all(isinstance(p, Landmark) for p in places):
-            # those of another world
-            colours = {one.name: one.colour for one in places} | dict(colours)
+            # those of another world, whose colours are pairs
+            with contextlib.suppress(TypeError, ValueError):  # ``colours_of`` refuses others
+                colours = {one.name: one.colour for one in places} | dict(colours)
             places = {one.name: one[1:4] for one in places}
         instance_of(
             "landmarks", places, Mapping, "a mapping of names to (x, y) or (x, y, half the side)"

@@ -44,6 +44,7 @@ class HypothesisSpace:
     Attributes:
         world: whose agents and goals.
         is_phase: whether it is the paper's.
+        n_agents, n_goals: numbers of its agents and goals.
         ways: in which agents can stand to each other, by code; each as :attr:`Hypothesis.towards`.
         company_site: name of the site of the ways.
         goal_sites: names of the sites of stated goals; in files and posteriors, of effective ones.

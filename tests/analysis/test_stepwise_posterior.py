@@ -89,6 +89,22 @@ def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
     assert post.query(f"I(goal_red; relation | {given})") == pytest.approx(0)
 
 
+def test_strengths_that_may_depend_on_goals_are_never_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log_prior = FOUND["log_prior"].values.copy()
+    log_prior[:, :, 1:, 0] -= 5.0  # who helps or hinders is strong
+    dependent = reading(columns={"log_prior": log_prior})
+    questions = ("P(strength_red > 500)", "P(strength_red > 500 | alpha=(1, 0))")
+    found = [StepwisePosterior(dependent).query(question) for question in questions]
+    assert found[1] > found[0] + 0.05
+    monkeypatch.setattr(stepwise_table, "MOST_ROWS", 1000)
+    post = StepwisePosterior(dependent)
+    assert [post.query(question) for question in questions] == pytest.approx(found)
+    odds = post.why("strength_red > 500")["log_odds"].values[-1]
+    assert odds == pytest.approx(np.log(found[0] / (1 - found[0])))
+
+
 def test_errors_are_the_jackknife_over_sets_of_searches(
     post: StepwisePosterior, single: StepwisePosterior
 ) -> None:
@@ -369,6 +385,7 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
         (reading(columns={"log_likelihood": nan}), "no log densities"),
         (reading().isel(planner_seed=[0]), "planner_seed has 1 entry"),
         (post.dataset.drop_vars("density"), "it lacks density"),
+        (post.dataset.drop_vars("marginals"), "it lacks marginals"),
         (reading(world=post.dataset.attrs["world"]), "log_prior has dimensions"),
         (reading(world="{"), "its world"),
     ):

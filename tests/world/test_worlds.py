@@ -282,6 +282,7 @@ WRONG_USE: list[tuple[Callable[[], object], str]] = [
     (lambda: Scene(np.zeros((4, 3)), np.ones(4), world="solo"),  # type: ignore[arg-type]
      "world='solo', expected a phase_ppl.World"),
     (lambda: worlds.named("duo"), "unknown world 'duo'"),
+    (lambda: dataclasses.replace(SOLO, colours=5), "colours=5, expected a mapping of names"),
     (lambda: World(list("abcd"), list("efghij"), {"home": (2, 2, 1)}, (0, 4, 0, 4)).random_scene(0),
      "no place was found for everybody"),
 ]  # fmt: skip

@@ -106,7 +106,7 @@ class Family:
         found = self.function(draw) if self.variant is None else self.function(draw, self.variant)
         if found is None:
             draw.refuse("it returned None")
-        told = f"family {self.name!r} drew {shown(found)}, expected a scene and roles"
+        told = f"family {self.name!r} drew {shown(found)}, expected a scene and a hypothesis"
         match found:
             case (Scene() as scene, Hypothesis() as roles):
                 pass
@@ -156,8 +156,8 @@ def register_family(
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator that registers a family as ``name``.
 
-    The function takes a :class:`Draw` and returns a scene and roles, as ``draw.situation`` does,
-    or None for another draw.
+    The function takes a :class:`Draw` and returns a scene and a hypothesis, as ``draw.situation``
+    does, or None for another draw.
 
     Args:
         name: its name, without a colon.
@@ -221,9 +221,9 @@ def family_of(cell: str, world: World = PHASE) -> Family:
 
 
 def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
-    """Return the scene and roles that a family draws in a world.
+    """Return the scene and the hypothesis that a family draws in a world.
 
-    :func:`phase_ppl.generate` draws alike; ``phase_ppl.simulate(scene, roles, ...)`` takes them.
+    :func:`phase_ppl.generate` draws alike; ``phase_ppl.simulate(scene, hypothesis)`` takes both.
 
     Args:
         cell: FAMILY or FAMILY:VARIANT.

@@ -223,19 +223,20 @@ def generate(
     number of workers, and after any interruption.
 
     A situation comes from a family, as in :func:`phase_ppl.draw_situation`, or is a random scene
-    with roles, ``world.random_scene(seed)`` and ``roles(world, seed)``. A random scene is kept if
-    an agent with a goal of its own reaches it. Except in PHASE, one number gives a whole event: the
-    ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
+    with a hypothesis, ``world.random_scene(seed)`` and ``roles(world, seed)``. A random scene is
+    kept if an agent with a goal of its own reaches it. Except in PHASE, one number gives a whole
+    event: the ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.data.generated`).
         n: number of events in the proportions of ``cells``; None: the numbers of ``cells``.
             Required for random scenes without cells.
         world: the world, or the name of a ready-made one.
-        roles: for random scenes, a function ``(world, seed)`` that returns goals and relations, or
-            None to draw scene and roles anew. Examples are :func:`phase_ppl.roles.draw` and, for a
-            prior of your own, ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default
-            all goals are equally likely, and all ways to help or hinder.
+        roles: for random scenes, a function ``(world, seed)`` that returns a
+            :class:`phase_ppl.Hypothesis`, or None to draw scene and hypothesis anew. Examples are
+            :func:`phase_ppl.roles.draw` and, for a prior of your own,
+            ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default all goals are equally
+            likely, and all ways to help or hinder.
         cells: FAMILY or FAMILY:VARIANT -> number; by default PHASE has the paper's 500, any other
             world, or with ``roles``, random scenes (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.

@@ -211,10 +211,10 @@ def measures(recording: Recording) -> dict[str, Any]:
     return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
-def _reached(roles: Hypothesis, found: Measures) -> list[bool]:
-    """Return (agent,) whether it has a goal of its own that became true."""
-    own = zip(roles.stated, found["at_start"], found["at_end"], strict=True)
-    return [goal is not None and end and not start for goal, start, end in own]
+def _reached(wanted: Hypothesis, found: Measures) -> list[bool]:
+    """Return (agent,) whether it pursues a goal of its own that became true."""
+    each = zip(wanted.towards, found["at_start"], found["at_end"], strict=True)
+    return [other is None and end and not start for other, start, end in each]
 
 
 def _named(world: World, pair: tuple[int, int]) -> str:
@@ -275,7 +275,7 @@ accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if anything w
 def make(plan: Plan, slot: Slot) -> Part:
     """Draw and simulate situations of a slot until one is accepted.
 
-    A situation of a family is accepted if it shows its scenario. A random scene with roles is
+    A situation of a family is accepted if it shows its scenario. A random scene is
     accepted if an agent reaches a goal of its own. The event has copies if the plan wants them.
     """
     family, simulator = plan.families.get(slot.cell), JointSimulator(plan.planner)
@@ -349,7 +349,7 @@ def event_of(recording: Recording, id: str) -> Event:
 
 
 def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
-    """Return the roles of a random scene, or why it has none."""
+    """Return the hypothesis of a random scene, or why it has none."""
     roles = (plan.roles or uniform_roles)(plan.world, seed)
     if roles is None:
         return "roles that are not wanted"
@@ -362,7 +362,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
 
 
 def uniform_roles(world: World, seed: int) -> Hypothesis:
-    """Return roles in which all goals, and all ways to help or hinder, are alike (Appendix 4B)."""
+    """Draw a hypothesis: all goals, and all ways to help or hinder, are alike (Appendix 4B)."""
     rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
     ways = all_ways(len(world.agents))
     social = len(ways) > 1 and rng.random() < SOCIAL

@@ -55,7 +55,7 @@ _FRAME_BYTES: Final = 600
 MOST_TRIES: Final = 1000  # in worlds other than PHASE, where each try has its own number
 
 DrawRoles = Callable[[World, int], Hypothesis | None]
-"""``(world, seed)`` -> goals and relations, as :func:`phase_ppl.roles.draw`; None: draw anew."""
+"""``(world, seed)`` -> hypothesis, as :func:`phase_ppl.roles.draw`; None: draw anew."""
 
 
 def is_as_before(world: World) -> bool:
@@ -75,7 +75,7 @@ class Slot(NamedTuple):
     """An event to be made, with its copies."""
 
     number: int  # from 0
-    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world for random scenes with roles
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world for random scenes
     cell: str
     split: str  # name of the split that it and its copies belong to
 
@@ -207,7 +207,7 @@ def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def cell_of(world: World) -> str:
-    """Return the cell of a world's random scenes with roles."""
+    """Return the cell of a world's random scenes."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
 
 

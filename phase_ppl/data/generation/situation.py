@@ -106,7 +106,7 @@ Option = TypeVar("Option")
 
 
 class Situation(NamedTuple):
-    """A scene and roles, to be simulated."""
+    """A scene and a hypothesis, to be simulated."""
 
     scene: Scene
     roles: Hypothesis

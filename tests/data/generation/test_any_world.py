@@ -306,9 +306,9 @@ ODD: list[tuple[Any, str]] = [
     (lambda draw: draw.situation({"red agent": "ball to barn"}, near={"ball": "brn"}),
      "unknown agent, item or landmark 'brn'; did you mean 'barn'"),
     (lambda draw: draw.situation({"red": "ball to barn"}), "unknown agent 'red'"),
-    (lambda draw: SOLO.random_scene(0), "expected a scene and roles, or None"),
-    (lambda draw: (SOLO.random_scene(0), None), "expected a scene and roles, or None"),
-    (lambda draw: draw_situation("help", TRIO, 0), "roles of the world 'solo'"),
+    (lambda draw: SOLO.random_scene(0), "expected a scene and a hypothesis, or None"),
+    (lambda draw: (SOLO.random_scene(0), None), "expected a scene and a hypothesis, or None"),
+    (lambda draw: draw_situation("help", TRIO, 0), "hypothesis of the world 'solo'"),
     (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
                    Hypothesis.of(SOLO, {"red agent": "red agent to home"})),
      "since 'Get red agent to home' is true at the start"),
@@ -411,3 +411,16 @@ def test_measures_are_of_all_agents_and_pairs() -> None:
     )
     assert tuple(found["met"]) == PAIRS
     assert [len(found[key]) for key in ("touched", "stuck", "at_end", "moved")] == [3, 3, 3, 5]
+
+
+def test_the_unused_goal_of_a_helper_that_a_prior_draws_is_not_reached() -> None:
+    scene = TRIO.random_scene(3, rooms={"red agent": "field"})
+    moved = scene.start.copy()
+    moved[0, :2] = scene.landmark_centres[TRIO.landmark_names.index("home")]
+    frames, nothing = np.array([scene.start, moved]), np.zeros((2, 3), bool)
+    stated = tuple(map(TRIO.goal_index, ("red agent to home", FIELD, FIELD)))
+    for helped in (None, (0, 1)):
+        wanted = Hypothesis.coded(TRIO, stated, (None, None, helped), (450.0,) * 3)
+        found = making.measures(making.Recording(scene, wanted, 0, frames, nothing, nothing))
+        assert found["at_end"] == [True, False, helped is not None]
+        assert found["reached"] == [True, False, False]
