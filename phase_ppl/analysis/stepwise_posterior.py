@@ -232,8 +232,8 @@ class StepwisePosterior(EventPosterior):
         return {**self._own, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
+        from phase_ppl.models.effective import as_given
         from phase_ppl.models.model import Model, for_table
-        from phase_ppl.models.roles import as_given
 
         return as_given(for_table(Model(prior=prior).prior, self.world))
 

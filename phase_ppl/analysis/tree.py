@@ -327,7 +327,7 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
 
     The numbers ``found`` are added as ``reweighted``.
     """
-    from phase_ppl.models.roles import as_given
+    from phase_ppl.models.effective import as_given
 
     record = json.loads(settings)
     model = dict(record.get("model", {}))

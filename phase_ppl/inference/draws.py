@@ -14,9 +14,10 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
+from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_prior
+from phase_ppl.models.roles import kept_prior, log_prior_of_effective
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.space import HypothesisSpace

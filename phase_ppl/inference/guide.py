@@ -29,7 +29,7 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.tables import BottomUpTables
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import Program, Sites, draw, log_density, remembered, traced
-from phase_ppl.models.roles import space_of_prior
+from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_RANGE

@@ -41,10 +41,10 @@ from phase_ppl.models import priors
 from phase_ppl.models.bridge import Record, Request
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import remembered, tracing
+from phase_ppl.models.effective import WorldPrior, as_given
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, Lookup, event_salt
-from phase_ppl.models.roles import WorldPrior, as_given
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

@@ -25,17 +25,9 @@ from phase_ppl.models.density import (
     site_shapes,
     traced,
 )
+from phase_ppl.models.effective import WorldPrior, as_given, space_of_prior
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import (
-    WorldPrior,
-    as_given,
-    bound,
-    in_one_line,
-    is_of_any_world,
-    masses_of,
-    refused,
-    space_of_prior,
-)
+from phase_ppl.models.roles import bound, in_one_line, is_of_any_world, masses_of, refused
 from phase_ppl.models.sites import HYPOTHESIS_SITES
 from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown

@@ -15,8 +15,8 @@ from numpyro import handlers
 
 from phase_ppl.models.bridge import Request, called_back
 from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density, tracing
+from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
-from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.uniform import IMPOSSIBLE, SEED_BITS, dimensions, in_steps, sites_at
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules

@@ -36,9 +36,7 @@ from scipy.special import softmax
 
 from phase_ppl.models import density, effective, priors
 from phase_ppl.models.density import Program, remembered
-from phase_ppl.models.effective import WorldPrior as WorldPrior
-from phase_ppl.models.effective import as_given as as_given
-from phase_ppl.models.effective import space_of_prior as space_of_prior
+from phase_ppl.models.effective import WorldPrior, as_given, space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, goals, strengths
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray

@@ -123,7 +123,7 @@ def stepwise_prior(
     if space_of(world).is_listed:
         further = json.dumps(list(effective.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
-    assert isinstance(prior, roles.WorldPrior), "hypotheses of PHASE are few enough"
+    assert isinstance(prior, effective.WorldPrior), "hypotheses of PHASE are few enough"
     masses = roles.masses_of(prior)
     found = {
         "log_prior_goals": masses.goals,

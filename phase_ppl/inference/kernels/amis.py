@@ -39,10 +39,10 @@ from phase_ppl.inference.kernels.weighted import Importance
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.density import Program, Sites, compiled_quickly, log_density, remembered
-from phase_ppl.models.effective import prior_table
+from phase_ppl.models.effective import WorldPrior, prior_table, space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import effective_goals
-from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
+from phase_ppl.models.roles import masses_of
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError

@@ -21,17 +21,19 @@ from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import NO_DENSITY, Sites, log_density
 from phase_ppl.models.effective import (
+    WorldPrior,
     cells,
     drawn_stated,
     log_prior_of_effective,
     prior_table,
+    space_of_prior,
     stated_hypotheses,
     upstream,
     within_support,
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
+from phase_ppl.models.roles import masses_of
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
