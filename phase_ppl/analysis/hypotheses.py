@@ -90,7 +90,7 @@ class Hypotheses(Printed):
         # what summaries tell of: in words -> quantity
         self.goals_of = dict(zip(world.agents, space.goal_sites, strict=True))
         self.relations_of = relations_of(world)
-        self.scenarios_of = {"scenario": "scenario"} if space.is_phase else {}
+        self.scenarios_of = {name: name for name in space.scenario_names}
         self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))
         self._quantities = dict(quantities)
         self._rows = rows
@@ -184,10 +184,11 @@ class Hypotheses(Printed):
         return self._rows
 
     def by_frame(self) -> xr.Dataset | None:
-        """Return what each frame says of each pair of effective goals; None where it is not known.
+        """Return what each frame says of all agents' effective goals; None where it is not known.
 
-        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
-        goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
+        It is known of what was read step by step, where a prior can be a table of all hypotheses:
+        in PHASE ``log_likelihood`` (time, goal_red, goal_green), in nats, as a frame counts, and
+        ``log_prior`` (goal_red, goal_green).
         """
         return None
 

@@ -18,7 +18,7 @@ from phase_ppl.analysis import estimate
 from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
+from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity, vocabulary_of
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -101,7 +101,7 @@ class Posterior(EventPosterior):
         self._tree = tree
         self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         rows = WEIGHTINGS[self._weights](counted)
-        words = Vocabulary(trees.space_of_tree(tree), scenario)
+        words = vocabulary_of(trees.space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(counted, site, columns[site])

@@ -46,7 +46,7 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 ScenarioFunction = Callable[[str, str], str]
 """(effective goal of red, of green) -> one of ``SCENARIOS``."""
@@ -146,11 +146,12 @@ def _canonical(label: object) -> str:
 
 
 def relations_of(world: World) -> dict[str, str]:
-    """Return the quantities of relations, by title: of all, or of two agents' keys."""
-    if world == PHASE:
-        return {"relation": "relation"}
-    pairs = itertools.combinations(world.keys, 2)
-    return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
+    """Return the quantities of relations, by title: two agents' keys, if their names have these."""
+    keys, names = world.keys, space_of(world).relation_names
+    return {
+        name if name == "relation" else f"{keys[one]} & {keys[other]}": name
+        for name, (one, other) in names.items()
+    }
 
 
 def titles(goals: Mapping[str, str], relations: Mapping[str, str]) -> dict[str, str]:
@@ -237,48 +238,34 @@ class Vocabulary:
     Args:
         space: of the world.
         scenario: replaces the paper's of two effective goals, in PHASE.
-
-    Raises:
-        InvalidSettingError: a scenario for another world.
     """
 
     space: HypothesisSpace
     scenario: ScenarioFunction | None = None
 
-    def __post_init__(self) -> None:
-        if self.scenario is not None and not self.space.is_phase:
-            raise InvalidSettingError(
-                "scenario replaces that of the world PHASE; "
-                f"{self.space.world.name!r} has relations only"
-            )
-
     @functools.cached_property
     def quantities(self) -> dict[str, Quantity]:
         """All quantities, by name."""
-        world = self.space.world
-        keys, in_phase = world.keys, self.space.is_phase
-        if in_phase:
-            alphas = [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
-        else:
-            pairs = ["_".join(pair) for pair in itertools.permutations(keys, 2)]
-            alphas = [Quantity(f"alpha_{pair}", SIGNS, (-1, 0, 1)) for pair in pairs]
         found = [
-            *(Quantity(f"goal_{key}", world.goals) for key in keys),
-            *(Quantity(name, RELATIONS) for name in relations_of(world).values()),
-            *alphas,
-            *(Quantity(f"strength_{key}") for key in keys),
+            *(Quantity(name, self.space.world.goals) for name in self.space.goal_sites),
+            *(Quantity(name, RELATIONS) for name in self.space.relation_names),
+            *self._stances(),
+            *map(Quantity, self.space.strength_sites),
+            *self._parts(),
         ]
-        if in_phase:
-            parts = itertools.product(keys, GOAL_PARTS.items())
-            found += [Quantity(f"stated_goal_{key}", GOALS) for key in keys]
-            found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in parts]
         return {quantity.name: quantity for quantity in found}
+
+    def _stances(self) -> list[Quantity]:
+        """Return how agents stand to each other, beside relations."""
+        return [Quantity(name, SIGNS, (-1, 0, 1)) for name in self.space.alpha_names]
+
+    def _parts(self) -> list[Quantity]:
+        """Return what hypotheses consist of, beside the above."""
+        return []
 
     def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
         """Return relations, and in PHASE the scenario, of effective goals, columns (row,)."""
         goals = [np.asarray(columns[name]) for name in self.space.goal_sites]
-        if self.space.is_phase:
-            return relation_codes(goals[0], goals[1], self.scenario)
         return self.space.relation_codes(np.stack(goals, axis=-1))
 
     def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -286,11 +273,46 @@ class Vocabulary:
 
         Beside PHASE without stated goals, which of those who help or hinder mean nothing.
         """
-        if self.space.is_phase:
-            parts = part_codes(columns["goal_red"], columns["goal_green"])
-            return {**columns, **self.relation_codes(columns), **parts}
         own = {k: v for k, v in columns.items() if k not in self.space.columns}
         sites = (*self.space.goal_sites, *self.space.strength_sites)
         kept = {name: columns[name] for name in sites if name in columns}
         alphas = self.space.alpha_codes(columns[self.space.company_site])
         return {**kept, **self.relation_codes(columns), **alphas, **own}
+
+
+@dataclasses.dataclass(frozen=True)
+class PaperVocabulary(Vocabulary):
+    """That of PHASE, whose pairs of goals have a scenario, and whose goals have parts."""
+
+    def _stances(self) -> list[Quantity]:
+        return [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
+
+    def _parts(self) -> list[Quantity]:
+        each = itertools.product(self.space.world.keys, GOAL_PARTS.items())
+        return [
+            *(Quantity(name, GOALS) for name in self.space.stated_sites),
+            *(Quantity(f"{part}_{key}", labels) for key, (part, labels) in each),
+        ]
+
+    def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
+        red, green = (np.asarray(columns[name]) for name in self.space.goal_sites)
+        return relation_codes(red, green, self.scenario)
+
+    def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        parts = part_codes(*(columns[name] for name in self.space.goal_sites))
+        return {**columns, **self.relation_codes(columns), **parts}
+
+
+def vocabulary_of(space: HypothesisSpace, scenario: ScenarioFunction | None = None) -> Vocabulary:
+    """Return what one can ask posteriors of a world for; ``scenario`` as in PHASE's.
+
+    Raises:
+        InvalidSettingError: a scenario for another world.
+    """
+    if space.scenario_names:
+        return PaperVocabulary(space, scenario)
+    if scenario is not None:
+        raise InvalidSettingError(
+            f"scenario replaces that of the world PHASE; {space.world.name!r} has relations only"
+        )
+    return Vocabulary(space)

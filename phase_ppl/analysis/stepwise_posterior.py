@@ -21,7 +21,7 @@ from phase_ppl.analysis.estimate import Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
-from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
+from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
 from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
 from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
@@ -95,7 +95,7 @@ class StepwisePosterior(EventPosterior):
         last = self._table.n_frames - 1
         self._frame = last if frame is None else whole_number("frame", frame, 0, last)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        words = Vocabulary(self._table.space, scenario)
+        words = vocabulary_of(self._table.space, scenario)
         rows, without = self._table.rows(self._frame)
         n = self.planner_seeds
         self._over_sets = Jackknife(without, n - 1.0) if n > 1 else None
@@ -408,7 +408,7 @@ class StepwisePosterior(EventPosterior):
 
     def by_frame(self) -> xr.Dataset | None:
         table = self._table
-        if not table.space.is_phase:
+        if not table.space.is_listed:
             return None
         names, n = table.space.goal_sites, self._frame + 1
         log_likelihood, log_prior = table.by_goals(table.by_points()[:n]), table.prior_of_goals()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, Scene, World, world_in_files
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
@@ -262,10 +262,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
         "turning": scene.turning,
         "resets_velocity": int(scene.resets_velocity),
     }
-    if scene.world == PHASE:
+    kept = world_in_files(scene.world)
+    if kept is None:
         attrs["landmark_half_width"] = float(scene.landmark_half_width)
     else:
-        attrs["world"] = json.dumps([scene.world.to_dict(), scene.half_widths.tolist()])
+        attrs["world"] = json.dumps([kept, scene.half_widths.tolist()])
     variables = {
         "start": (("entity", "coord"), scene.start),
         "radius": (("entity",), scene.radius),

@@ -39,7 +39,7 @@ from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_stre
 from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 
 WORLDS: Final = ("as it is", "changed")
 _BY_CHANCE: Final = 0.05
@@ -276,8 +276,9 @@ class Change:
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
-            if not space.is_phase or tuple(alpha) not in ALPHAS:
-                where = list(ALPHAS) if space.is_phase else f"relation= in the world {world.name}"
+            known = list(ALPHAS) if ALPHA_SITE in space.limits else []
+            if tuple(alpha) not in known:
+                where = known or f"relation= in the world {world.name}"
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
             sites[space.company_site] = ALPHAS.index(tuple(alpha))
             words.append(f"alpha = {alpha}")

@@ -79,6 +79,7 @@ from phase_ppl.world.event import (
     Event,
     Observation,
     Truth,
+    truth_class,
 )
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Hypothesis
@@ -91,6 +92,7 @@ from phase_ppl.world.scene import (
     World,
     check_is_phase,
     one_or_all,
+    world_in_files,
 )
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"
@@ -219,9 +221,9 @@ def _observation(record: Mapping[str, Any], world: World, where: str) -> Observa
 
 
 def _truth(record: _Document, world: World) -> Truth | Hypothesis:
-    told = converted(record, _Truth, "truth") if world == PHASE else None
-    if told is None:
+    if truth_class(world) is Hypothesis:
         return Hypothesis.from_dict(record, world)
+    told = converted(record, _Truth, "truth")
     red, green = _by_name(told.goals, AGENTS, str, "truth.goals")
     forces = told.strengths or dict.fromkeys(AGENTS)
     one, other = _by_name(forces, AGENTS, float | None, "truth.strengths")
@@ -240,13 +242,14 @@ def event_record(event: Event) -> dict[str, Any]:
     """Return the JSON object that :func:`event_from_record` turns back into ``event``."""
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world, truth = event.scene, event.scene.world, event.truth
+    kept = world_in_files(world)
     arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in ARRAYS}
     arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
     tracks = np.moveaxis(event.observation.trajectory, 1, 0).tolist()
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id(event.id),
-        **({} if world == PHASE else {"world": world.to_dict()}),
+        **({} if kept is None else {"world": kept}),
         "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }

@@ -65,7 +65,7 @@ from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.scene import PHASE, Turning, World, one_or_all
+from phase_ppl.world.scene import PHASE, Turning, World, one_or_all, world_in_files
 
 LABELS: Final[Mapping[str, Sequence[str]]] = {
     "entity": ENTITIES,
@@ -103,10 +103,10 @@ def labels_of(world: World) -> Mapping[str, Sequence[str]]:
     return {**LABELS, "entity": world.entities, "landmark": world.landmark_names}
 
 
-def _arrays_of(world: World) -> Mapping[str, tuple[tuple[str, ...], str]]:
-    """Return :data:`_ARRAYS`; except in PHASE, each landmark's square has its own size."""
+def _arrays_of(kept: Mapping[str, Any] | None) -> Mapping[str, tuple[tuple[str, ...], str]]:
+    """Return :data:`_ARRAYS`; in files with a world, each landmark's square has its own size."""
     each = {"landmark_half_width": (("landmark",), _LENGTH)}
-    return _ARRAYS if world == PHASE else {**_ARRAYS, **each}
+    return _ARRAYS if kept is None else {**_ARRAYS, **each}
 
 
 def event_dataset(event: Event) -> xr.Dataset:
@@ -123,18 +123,19 @@ def event_dataset(event: Event) -> xr.Dataset:
     if scene.resets_velocity:
         values[_RESETS] = np.int8(1)
     documents: dict[str, Any] = {}
-    if world == PHASE:
+    kept = world_in_files(world)
+    if kept is None:
         for name in (*_GOALS, "relation", "scenario"):
             values[name] = getattr(truth, name, "")
         for name in _STRENGTHS:
             values[name] = np.array(getattr(truth, name, None), float)  # NaN: unknown
     else:
         values["landmark_half_width"] = scene.half_widths
-        documents = {"world": world.to_dict(), "truth": truth and truth.to_dict()}
+        documents = {"world": kept, "truth": truth and truth.to_dict()}
     documents |= {name: getattr(event, name) for name in DOCUMENTS}
     for name, content in documents.items():
         values[name] = "" if content is None else to_text(dict(content), compact=True)
-    described = {**_arrays_of(world), **dict.fromkeys(_STRENGTHS, ((), "N"))}
+    described = {**_arrays_of(kept), **dict.fromkeys(_STRENGTHS, ((), "N"))}
     variables: dict[str, Any] = {}
     for name, value in values.items():
         dims, units = described.get(name, ((), ""))
@@ -164,7 +165,7 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     _check_time(dataset)
     given = _document(dataset, "world")
     world = PHASE if given is None else World.from_dict(given)
-    labels, arrays = labels_of(world), _arrays_of(world)
+    labels, arrays = labels_of(world), _arrays_of(given)
     found = {name: _values(dataset, name, dims, labels) for name, (dims, _) in arrays.items()}
     tracks = found.pop("trajectory").swapaxes(0, 1).tolist()
     found = {name: values.tolist() for name, values in found.items()}

@@ -43,12 +43,11 @@ def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
     """Return the questions of a world about relations -> the two agents of each."""
-    named = list(zip(world.keys, world.agents, strict=True))
-    return {
-        "relation" if world == PHASE else f"relation_{one}_{other}": (agent, whom)
-        for place, (other, whom) in enumerate(named)
-        for one, agent in named[:place]
+    found = {
+        name: (world.agents[one], world.agents[other])
+        for name, (one, other) in space_of(world).relation_names.items()
     }
+    return dict(sorted(found.items(), key=lambda pair: world.agents.index(pair[1][1])))
 
 
 def independent(goals: NDArray[Any], world: World) -> dict[str, NDArray[Any]]:
@@ -71,7 +70,7 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 
 def scenario_of(answers: Mapping[str, str], world: World) -> str | None:
     """Return the scenario of the two goals answered in PHASE; None where one is missing."""
-    if world != PHASE or not answers.keys() >= {*GOAL_QUESTIONS.values()}:
+    if not space_of(world).scenario_names or not answers.keys() >= {*GOAL_QUESTIONS.values()}:
         return None
     red, green = (answers[question] for question in GOAL_QUESTIONS.values())
     return scenario(red, green)

@@ -30,7 +30,7 @@ from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.picture import plain
 from phase_ppl.world.registry import Registry
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import Scene, World, check_is_phase
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.hypotheses import Hypotheses
@@ -183,8 +183,8 @@ def not_installed(needs: Sequence[str], extra: str | None) -> str | None:
 
 def check_world(model: object, world: World) -> None:
     """Raise InvalidSettingError where a model given by name knows PHASE only, not ``world``."""
-    if isinstance(model, str) and world != PHASE and not model_info(model).any_world:
-        raise InvalidSettingError(f"model {model!r} knows the world PHASE only, not {world.name!r}")
+    if isinstance(model, str) and not model_info(model).any_world:
+        check_is_phase(world, f"model {model!r}")
 
 
 def is_installed(module: str) -> bool:

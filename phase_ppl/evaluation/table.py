@@ -23,6 +23,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Hypothesis
 from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import space_of
 
 Place: TypeAlias = tuple[str, ...]
 """Keys under which something is found in the metrics."""
@@ -41,7 +42,7 @@ def parts_of(world: World, kind: str) -> list[tuple[str, str]]:
 
     In PHASE those about a scenario; elsewhere goals of an agent, relations of a pair.
     """
-    if world == PHASE:
+    if space_of(world).scenario_names:
         return [("by_scenario", name) for name in SCENARIOS]
     if kind == "goal":
         return [("by_agent", agent) for agent in world.agents]

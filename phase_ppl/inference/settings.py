@@ -95,7 +95,7 @@ class SimpleSettings:
         learned = {"proposal": "learned", "strength": DEFAULT_ESTIMATOR}
         usual = learned if world == PHASE else {"proposal": "paper", "strength": "analytic"}
         for name, value in learned.items():
-            if world != PHASE and getattr(self, name) == value:
+            if getattr(self, name) == value != usual[name]:
                 raise InvalidSettingError(
                     f"{name}={value!r} was learned in PHASE and knows no other world, such as "
                     f"{world.name!r}: expected SimpleSettings({name}={usual[name]!r})"

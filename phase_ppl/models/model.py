@@ -33,7 +33,7 @@ from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import World
-from phase_ppl.world.space import HypothesisSpace, space_of
+from phase_ppl.world.space import ALPHA_SITE, COMPANY_SITE, HypothesisSpace, space_of
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -201,20 +201,25 @@ class Model:
 # --- whether a prior can work ---------------------------------------------------------------------
 
 
+_STATEMENTS: Final = {
+    ALPHA_SITE: "phase_ppl.sites.{}()",
+    COMPANY_SITE: "phase_ppl.roles.{}(world)",
+}
+"""Site of the ways in which agents stand to each other -> statements for a prior of its world."""
+
+
 def _expected(space: HypothesisSpace) -> dict[str, str]:
     """Return in words what each site of a hypothesis must be."""
-    where, world = ("sites", "") if space.is_phase else ("roles", "world")
     company = space.company_site
+    statement = _STATEMENTS[company].format
     return {
         **dict.fromkeys(
-            space.goal_sites,
-            f"a goal code, 0..{space.n_goals - 1}, as phase_ppl.{where}.goals({world})",
+            space.goal_sites, f"a goal code, 0..{space.n_goals - 1}, as {statement('goals')}"
         ),
-        company: f"an {company} code, 0..{len(space.ways) - 1}, as "
-        f"phase_ppl.{where}.{company}({world})",
+        company: f"an {company} code, 0..{len(space.ways) - 1}, as {statement(company)}",
         **dict.fromkeys(
             space.strength_sites,
-            f"a positive real number, as phase_ppl.{where}.strengths({world}), or one of a few, as "
+            f"a positive real number, as {statement('strengths')}, or one of a few, as "
             "phase_ppl.sites.OneOf",
         ),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import textwrap
 from typing import Final, NamedTuple
 
@@ -18,10 +19,13 @@ from phase_ppl.world.event import Event, Thoughts
 from phase_ppl.world.goals import goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
-from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.scene import Scene
 
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
-"""Names of PHASE's rooms."""
+"""Names of rooms that are quadrants, as in PHASE."""
+
+_ABBREVIATED: Final = re.compile(r"\blm$")
+"""The last word of the names of PHASE's landmarks."""
 
 _BRIEF: Final = 4  # steps; a shorter change of mind is not told
 _BELOW: Final = 74
@@ -153,7 +157,7 @@ def _knows(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
 
 def room_name(scene: Scene, room: int) -> str:
     """Return a room in words, such as "top right room", or "room of the home"."""
-    if scene.world == PHASE:
+    if scene.world.quadrants:
         return ROOMS[room]
     inside = np.flatnonzero(scene.rooms.room_of(scene.landmark_centres) == room)
     if not len(inside):
@@ -167,7 +171,7 @@ def _place(scene: Scene, place: int) -> str:
     door = place - len(scene.rooms)
     if door < 0:
         return room_name(scene, place)
-    if scene.world == PHASE:
+    if scene.world.quadrants:
         return DOORS[door]
     one, other = (room_name(scene, room) for room in scene.rooms.doors[door].rooms)
     return f"door between the {one} and the {other}"
@@ -185,8 +189,7 @@ def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
     if predicate is Predicate.TOUCH and own:
         return f"{'goes up to' if positive else 'gets away from'} the {world.entities[target]}"
     if predicate is Predicate.ON:
-        name = world.landmark_names[target]
-        place = f"the {name.replace('lm', 'landmark') if world == PHASE else name}"
+        place = f"the {_ABBREVIATED.sub('landmark', world.landmark_names[target])}"
     elif predicate is Predicate.TOUCH:
         if subject >= len(world.agents):  # the target is the one of two items that is moved
             subject, target = target, subject

@@ -30,7 +30,7 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.names import AGENTS, NOTHING, Literal
 from phase_ppl.world.picture import drawn
-from phase_ppl.world.scene import PHASE, Scene, check_inside
+from phase_ppl.world.scene import PHASE, Scene, World, check_inside
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -221,11 +221,16 @@ class Truth:
 
         In PHASE it has effective goals and strengths; in other worlds it is the hypothesis.
         """
-        if hypothesis.world != PHASE:
+        if truth_class(hypothesis.world) is not cls:
             return hypothesis
         red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
         one, other = hypothesis.strengths
         return cls(red, green, strength_red=one, strength_green=other)
+
+
+def truth_class(world: World) -> type[Truth] | type[Hypothesis]:
+    """Return what the truth of a world's events is: in PHASE the effective goals are enough."""
+    return Truth if world == PHASE else Hypothesis
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -257,11 +262,11 @@ class Event:
         instance_of("scene", self.scene, Scene, "a phase_ppl.Scene")
         instance_of("observation", self.observation, Observation, "a phase_ppl.Observation")
         check_inside(self.observation.trajectory, self.scene, "trajectory")
-        of_phase = self.scene.world == PHASE
-        if self.truth is not None and isinstance(self.truth, Truth) is not of_phase:
-            kind = "a phase_ppl.Truth" if of_phase else "a phase_ppl.Hypothesis"
+        kind = truth_class(self.scene.world)
+        if self.truth is not None and not isinstance(self.truth, kind):
             raise InvalidSettingError(
-                f"truth={shown(self.truth)}, expected {kind} in the world {self.scene.world.name}"
+                f"truth={shown(self.truth)}, expected a phase_ppl.{kind.__name__} in the world "
+                f"{self.scene.world.name}"
             )
 
     def __repr__(self) -> str:

@@ -390,15 +390,23 @@ class Hypothesis(Printed):
             return shared_goal(self.stated[towards[0]] or 0, towards[0], agent, self.world)
         return own
 
+    @property
+    def _arguments(self) -> dict[str, Any] | None:
+        """What makes the same hypothesis of PHASE; None in a world where only :meth:`of` does."""
+        if self.world != PHASE:
+            return None
+        goals, keys = self.world.goals, self.world.keys
+        return {
+            **{f"goal_{key}": goals[getattr(self, f"goal_{key}")] for key in keys},
+            "alpha": list(self.alpha),
+            **{f"strength_{k}": one for k, one in zip(keys, self.strengths, strict=True)},
+        }
+
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads: names, strengths in newtons."""
-        agents, goals, keys = self.world.agents, self.world.goals, self.world.keys
-        if self.world == PHASE:
-            return {
-                **{f"goal_{key}": goals[getattr(self, f"goal_{key}")] for key in keys},
-                "alpha": list(self.alpha),
-                **{f"strength_{k}": one for k, one in zip(keys, self.strengths, strict=True)},
-            }
+        if (made := self._arguments) is not None:
+            return made
+        agents, goals = self.world.agents, self.world.goals
         own = zip(agents, self.stated, self.towards, strict=True)
         return {
             "goals": {name: goals[goal or 0] for name, goal, other in own if other is None},
@@ -432,18 +440,18 @@ class Hypothesis(Printed):
         return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))
 
     def __repr__(self) -> str:
-        if self.world != PHASE:
+        if (made := self._arguments) is None:
             return f"Hypothesis({self})"
-        values = ", ".join(f"{name}={value!r}" for name, value in self.to_dict().items())
+        values = ", ".join(f"{name}={value!r}" for name, value in made.items())
         return f"Hypothesis({values})"
 
     def __str__(self) -> str:
-        names = self.world.keys if self.world == PHASE else self.world.agents
+        names = self.world.agents if self._arguments is None else self.world.keys
         said = [
             f"{name}: {goal} ({force:.0f} N)"
             for name, goal, force in zip(names, self.goals.values(), self.strengths, strict=True)
         ]
-        if self.world == PHASE:
+        if self._arguments is not None:
             said.append(self.relation)
         else:
             said += [f"the {who} {word}s the {whom}" for (who, whom), word in self.stances.items()]

@@ -18,7 +18,7 @@ import numpy as np
 from phase_ppl import __version__
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.scene import Scene, world_in_files
 
 LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 """Libraries whose versions can change a number."""
@@ -48,7 +48,9 @@ def event_digest(event: Event) -> str:
 
 def physics_rules(scene: Scene) -> bytes:
     """Return a world's rules beyond its numbers, as bytes for a hash."""
-    world = "" if scene.world == PHASE else f" {scene.world.entities} {scene.world.landmark_names}"
+    world = f" {scene.world.entities} {scene.world.landmark_names}"
+    if world_in_files(scene.world) is None:
+        world = ""
     resets = " resets velocity" if scene.resets_velocity else ""
     return f"{scene.turning}{resets}{world}".encode()
 

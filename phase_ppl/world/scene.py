@@ -501,8 +501,9 @@ class Scene:
                 f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"
             )
         width, height = x1 - x0, y1 - y0
-        if width <= 0 or height <= 0 or (self.world == PHASE and abs(width - height) > 1e-6):
-            kind = "a square" if self.world == PHASE else "a rectangle"
+        as_in_paper = self.world == PHASE
+        if min(width, height) <= 0 or (as_in_paper and abs(width - height) > 1e-6):
+            kind = "a square" if as_in_paper else "a rectangle"
             raise InvalidEventError(f"scene.arena {self.arena} is not {kind} x0, x1, y0, y1")
         most = min(width, height) / 4
         if (self.radius < MIN_RADIUS).any() or (self.radius > most).any():
@@ -510,11 +511,11 @@ class Scene:
                 f"scene.radius {self.radius.tolist()}: sizes must lie in [{MIN_RADIUS:g}, {most:g}]"
             )
         check_inside(self.start[None], self, "scene.start")
-        self._check_rooms()
+        self._check_landmarks() if as_in_paper else self._check_rooms()
         half_width = self.landmark_half_width
         if half_width is None:
             half_width = one_or_all([one.half_width for one in places])
-        each = self.world != PHASE and np.ndim(half_width) == 1
+        each = np.ndim(half_width) == 1 and not as_in_paper
         half_width = finite_array(
             "scene.landmark_half_width", half_width, (len(places),) if each else ()
         )
@@ -525,17 +526,17 @@ class Scene:
                 )
         set_field("landmark_half_width", half_width if each else float(half_width))
 
+    def _check_landmarks(self) -> None:
+        """Raise InvalidEventError unless landmarks are in the quadrants, as in the paper."""
+        if list(self.rooms.room_of(self.landmark_centres)) != list(range(len(LANDMARKS))):
+            raise InvalidEventError(
+                f"scene.landmark_centres {self.landmark_centres.tolist()}: expected "
+                f"{', '.join(LANDMARKS)} top left, top right, bottom right, bottom left"
+            )
+
     def _check_rooms(self) -> None:
         """Raise InvalidEventError for impossible walls now, not during a run."""
         rooms, world = self.rooms, self.world
-        numbers = rooms.room_of(self.landmark_centres)
-        if world == PHASE:
-            if list(numbers) != list(range(len(LANDMARKS))):
-                raise InvalidEventError(
-                    f"scene.landmark_centres {self.landmark_centres.tolist()}: expected "
-                    f"{', '.join(LANDMARKS)} top left, top right, bottom right, bottom left"
-                )
-            return
         starts = rooms.room_of(self.start[:, :2]).tolist()
         n_agents = len(world.agents)
         for name, room in zip(world.items, starts[n_agents:], strict=True):
@@ -588,6 +589,11 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
             f"{name}: the {scene.world.entities[entity]} is at ({x[frame, entity]:g}, "
             f"{y[frame, entity]:g}) in frame {frame}, outside {in_words(scene.arena)}"
         )
+
+
+def world_in_files(world: World) -> dict[str, Any] | None:
+    """Return what files have of a world: its plain form; None for PHASE, which they leave out."""
+    return None if world == PHASE else world.to_dict()
 
 
 def check_is_phase(world: World, what: str) -> None:

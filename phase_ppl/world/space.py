@@ -43,7 +43,6 @@ class HypothesisSpace:
 
     Attributes:
         world: whose agents and goals.
-        is_phase: whether it is the paper's.
         n_agents, n_goals: numbers of its agents and goals.
         ways: in which agents can stand to each other, by code; each as :attr:`Hypothesis.towards`.
         company_site: name of the site of the ways.
@@ -53,21 +52,34 @@ class HypothesisSpace:
         sites: names of all sites of a hypothesis.
         kept_columns: columns of ``sites`` as files name them: stated goals, way, strengths.
         columns: those of files: effective goals, which follow, and ``kept_columns``.
+        relation_names: names of the quantities that say how two agents stand to each other -> the
+            two, in order.
+        alpha_names: names of those that say what one agent does to another -> the two, in order;
+            none in PHASE, whose site ``alpha`` says it.
+        scenario_names: names of those that say it in the paper's four scenarios.
         limits: site -> number of its codes; of goals and the company.
     """
 
     def __init__(self, world: World) -> None:
         self.world = world
-        self.is_phase = world == PHASE
         self.n_agents, self.n_goals = len(world.agents), len(world.goals)
         self.ways = all_ways(self.n_agents)
-        self.company_site = COMPANY_SITE
-        if self.is_phase:
+        self.company_site, self.scenario_names = COMPANY_SITE, tuple[str, ...]()
+        self.relation_names = {
+            f"relation_{world.keys[one]}_{world.keys[other]}": (one, other)
+            for one, other in itertools.combinations(range(self.n_agents), 2)
+        }
+        self.alpha_names = {
+            f"alpha_{world.keys[who]}_{world.keys[whom]}": (who, whom)
+            for who, whom in itertools.permutations(range(self.n_agents), 2)
+        }
+        if world == PHASE:
             self.ways = tuple(
                 tuple((1 - agent, sign) if sign else None for agent, sign in enumerate(alpha))
                 for alpha in ALPHAS
             )
-            self.company_site = ALPHA_SITE
+            self.company_site, self.scenario_names = ALPHA_SITE, ("scenario",)
+            self.relation_names, self.alpha_names = {"relation": (0, 1)}, {}
         self.goal_sites = tuple(f"goal_{key}" for key in world.keys)
         self.stated_sites = tuple(f"stated_{name}" for name in self.goal_sites)
         self.strength_sites = tuple(f"strength_{key}" for key in world.keys)
@@ -86,10 +98,9 @@ class HypothesisSpace:
     @functools.cached_property
     def reserved(self) -> frozenset[str]:
         """Names that further sites of a prior cannot have."""
-        follow = ("relation", "alpha") if not self.is_phase else ()
-        pairs = itertools.permutations(self.world.keys, 2)
-        of_pairs = (f"{name}_{one}_{other}" for one, other in pairs for name in follow)
-        return frozenset((*of_pairs, *self.columns))
+        alphas = self.alpha_names
+        relations = (name.replace("alpha", "relation", 1) for name in alphas)
+        return frozenset((*alphas, *relations, *self.columns))
 
     @functools.cached_property
     def impossible(self) -> NDArray[np.bool_]:
@@ -170,20 +181,19 @@ class HypothesisSpace:
         return found
 
     def relation_codes(self, goals: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
-        """Return ``relation_<one>_<other>`` of (..., agent) effective goals, beside PHASE."""
-        keys = self.world.keys
+        """Return the relations, by name, of (..., agent) effective goals."""
         return {
-            f"relation_{keys[one]}_{keys[other]}": table[goals[..., one], goals[..., other]]
-            for (one, other), table in self.relations.items()
+            name: self.relations[one, other][goals[..., one], goals[..., other]]
+            for name, (one, other) in self.relation_names.items()
         }
 
     def alpha_codes(self, way: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
         """Return ``alpha_<who>_<whom>`` of ways, beside PHASE: 2 helps, 0 hinders, 1 neither."""
         found = {}
-        for who, whom in itertools.permutations(range(self.n_agents), 2):
+        for name, (who, whom) in self.alpha_names.items():
             towards = [one[who] or (who, 0) for one in self.ways]
             signs = np.array([sign if other == whom else 0 for other, sign in towards])
-            found[f"alpha_{self.world.keys[who]}_{self.world.keys[whom]}"] = signs[way] + 1
+            found[name] = signs[way] + 1
         return found
 
     def log_prior_of_effective(

@@ -32,7 +32,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name, source_hash, stable
-from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
+from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World, world_in_files
 
 SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
 """Shares of the splits, as in the paper."""
@@ -60,7 +60,7 @@ DrawRoles = Callable[[World, int], Hypothesis | None]
 
 def is_as_before(world: World) -> bool:
     """Whether numbers and files must equal those of versions that knew PHASE only."""
-    return world == PHASE
+    return world_in_files(world) is None
 
 
 class Look(NamedTuple):
