@@ -25,7 +25,7 @@ import pandas as pd
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison, distances
-from phase_ppl.inference.reference import error_of, of_masses, of_pairs
+from phase_ppl.inference.reference import error_of, of_goals, of_masses
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from tests.inference.toy import few_goals, walkers, walking_event
@@ -120,16 +120,16 @@ def one_reference(
     level = np.log(exact[tuple(pairs.T)])
     simulated = level[:, None] + rng.normal(0, sd, (len(pairs), per_pair))
     found = of_masses(pairs, simulated)
-    error = error_of([(of_pairs(one), of_pairs(half)) for one, half in found.halves])
+    error = error_of([(of_goals(one), of_goals(half)) for one, half in found.halves])
     assert error is not None
-    reference = of_pairs(found.probability)
-    true = distances(reference, of_pairs(exact))["tv_goals"]
+    reference = of_goals(found.probability)
+    true = distances(reference, of_goals(exact))["tv_goals"]
     rows = []
     for name, share in (("near", 0.2), ("far", 0.4)):
         for repeat in range(REPEATS):
             mixed = (1 - share) * exact + share * other
             drawn = rng.multinomial(DRAWS, mixed.ravel()).reshape(mixed.shape) / DRAWS
-            run = dict.fromkeys(RUN_COLUMNS, 0.0) | distances(of_pairs(drawn), reference)
+            run = dict.fromkeys(RUN_COLUMNS, 0.0) | distances(of_goals(drawn), reference)
             rows.append({**run, "kernel": name, "repeat": repeat})
     settings = {"kernels": {"near": {}, "far": {}}, "reference": {"error": error}}
     ranks = Comparison(pd.DataFrame(rows), pd.DataFrame(), settings).ranks("tv_goals")

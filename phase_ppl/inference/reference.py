@@ -1,13 +1,13 @@
 """References that kernels are compared with: enumeration, a long run, or the exact sum of a table.
 
-Enumeration simulates every pair g of effective goals. Its mass is the mean over strengths
+Enumeration simulates all effective goals g of the agents. Their mass is the mean over strengths
 s ~ P(s) and simulator seeds w of
 
     P(g | s) L(g, s, w)
 
-This takes a few simulations of each pair with prior mass, some 1150 pairs under the paper's prior,
-and no Markov chain. If a pair's log likelihood varies by several nats from seed to seed, a mean of
-a few is a poor estimate. Tables from halves of the simulations measure this error.
+This takes a few simulations of all with prior mass, in PHASE some 1150 pairs under the paper's
+prior, and no Markov chain. If the log likelihood of goals varies by several nats from seed to seed,
+a mean of a few is a poor estimate. Tables from halves of the simulations measure this error.
 """
 
 from __future__ import annotations
@@ -32,13 +32,12 @@ from phase_ppl.analysis.comparison import (
     marginals,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.inference.entries import Entry, Spec, entry_of
 from phase_ppl.inference.settings import Budget, SimpleSettings
-from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
+from phase_ppl.models.roles import effective_goals, log_prior_of_effective
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
@@ -49,14 +48,15 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
-from phase_ppl.world.scene import PHASE, check_is_phase
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
+MOST: Final = 10_000  # combinations of goals, of which all agents have one
 SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
 _POOL: Final = 32  # draws of strengths, of which each pair takes a few
 _NO_MASS: Final = -60.0  # log probability below which a pair is not simulated
@@ -65,8 +65,8 @@ _NO_MASS: Final = -60.0  # log probability below which a pair is not simulated
 class Enumeration(NamedTuple):
     """Posterior of the effective goals."""
 
-    probability: FloatArray  # (goal_red, goal_green), sum 1
-    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair
+    probability: FloatArray  # (goal of the first agent, of the second, ...), sum 1
+    # (split, 2, goal, goal, ...) the same from either half of the simulations of each combination
     halves: FloatArray
     simulations: int  # how many were made
 
@@ -74,24 +74,34 @@ class Enumeration(NamedTuple):
 class Plan(NamedTuple):
     """The simulations that an enumeration will make."""
 
-    pairs: NDArray[np.int64]  # (pair, 2) effective goals of red and green that have prior mass
-    strengths: FloatArray  # (draw, 2) newtons, from the prior
-    log_prior: FloatArray  # (pair, draw) log P(pair | strengths)
+    space: HypothesisSpace
+    goals: NDArray[np.int64]  # (row, agent) effective goals of all agents that have prior mass
+    strengths: FloatArray  # (draw, agent) newtons, from the prior
+    log_prior: FloatArray  # (row, draw) log P(goals | strengths)
 
 
-def plan_enumeration(model: Model, seed: int = 0) -> Plan:
-    """Return the pairs of goals that a model's prior allows, with their probabilities."""
+def plan_enumeration(model: Model, seed: int = 0, most: float = MOST) -> Plan | None:
+    """Return the goals that the prior of a model allows, with their probabilities.
+
+    None: these are more than ``most`` combinations of goals. The prior is bound to its world.
+    """
+    space = space_of_prior(model.prior)
+    every = effective_goals(model.prior, most)
+    if every is None:
+        return None
+    possible = np.unique(every, axis=0)
     program = EventProgram(model, 0, 1)
     keys = random.split(random.key(seed), _POOL)
     drawn = jax.jit(jax.vmap(program.draw_prior))(keys)
-    strengths = np.stack([np.asarray(drawn[name], float) for name in STRENGTH_SITES], axis=1)
-    possible = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
-    repeated = dict(zip(STRENGTH_SITES, np.tile(strengths.T, len(possible)), strict=True))
+    names = space.strength_sites
+    strengths = np.stack([np.asarray(drawn[name], float) for name in names], axis=1)
+    repeated = dict(zip(names, np.tile(strengths.T, len(possible)), strict=True))
     log_joint = log_prior_of_effective(model.prior, np.repeat(possible, _POOL, axis=0), repeated)
     log_joint = log_joint.reshape(len(possible), _POOL)
     log_prior = log_joint - np.logaddexp.reduce(log_joint, axis=0)
     kept = log_prior.max(axis=1) > _NO_MASS
-    return Plan(possible[kept], strengths, log_prior[kept])
+    plan = Plan(space, possible[kept], strengths, log_prior[kept])
+    return plan if len(plan.goals) <= most else None
 
 
 def enumerate_goals(
@@ -104,16 +114,17 @@ def enumerate_goals(
     workers: int | None = None,
     executor: Executor | None = None,
 ) -> Enumeration:
-    """Return the posterior of the effective goals by simulating all pairs of a plan.
+    """Return the posterior of the effective goals by simulating all combinations of a plan.
 
-    Each pair is simulated ``per_pair`` times (even, at most 32), every time with other strengths
+    Each is simulated ``per_pair`` times (even, at most 32), every time with other strengths
     and another simulator seed.
     """
     rng = np.random.default_rng(seed)
-    which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
+    which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.goals])
+    world, nobody = plan.space.world, (None,) * plan.space.n_agents
     hypotheses = [
-        Hypothesis(int(red), int(green), (0, 0), *(float(s) for s in plan.strengths[draw]))
-        for (red, green), draws in zip(plan.pairs, which, strict=True)
+        Hypothesis.coded(world, tuple(goals), nobody, tuple(plan.strengths[draw].tolist()))
+        for goals, draws in zip(plan.goals.tolist(), which, strict=True)
         for draw in draws
     ]
     seeds = _seeds(event, model, hypotheses, seed)
@@ -128,27 +139,29 @@ def enumerate_goals(
     log_likelihood = np.asarray(by_frame).sum(axis=1)
     log_mass = np.where(usable, log_likelihood, -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
-    return of_masses(plan.pairs, log_mass)
+    return of_masses(plan.goals, log_mass, plan.space.n_goals)
 
 
-def of_masses(pairs: NDArray[np.int64], log_mass: FloatArray) -> Enumeration:
+def of_masses(
+    goals: NDArray[np.int64], log_mass: FloatArray, n_goals: int = len(PHASE.goals)
+) -> Enumeration:
     """Return the posterior of simulations, from all of them and from halves.
 
-    ``log_mass`` is (pair, repeat), -inf for failed simulations.
+    ``log_mass`` is (row, repeat) of effective goals (row, agent), -inf for failed simulations.
     """
     weight = np.exp(log_mass - log_mass.max())
     rng = np.random.default_rng(0)
     halves = []
     for split in range(SPLITS):
         order = rng.permutation(log_mass.shape[1]) if split else np.arange(log_mass.shape[1])
-        halves.append([_table(pairs, weight[:, order[h::2]]) for h in (0, 1)])
-    return Enumeration(_table(pairs, weight), np.array(halves), log_mass.size)
+        halves.append([_table(goals, weight[:, order[h::2]], n_goals) for h in (0, 1)])
+    return Enumeration(_table(goals, weight, n_goals), np.array(halves), log_mass.size)
 
 
-def _table(pairs: NDArray[np.int64], weight: FloatArray) -> FloatArray:
-    """Return (goal_red, goal_green) mean weights of simulations, failed ones 0, normalised."""
-    table = np.zeros((N_GOALS, N_GOALS))
-    table[tuple(pairs.T)] = weight.mean(axis=1)
+def _table(goals: NDArray[np.int64], weight: FloatArray, n_goals: int) -> FloatArray:
+    """Return (goal, goal, ...) mean weights of simulations, failed ones 0, normalised."""
+    table = np.zeros([n_goals] * goals.shape[1])
+    table[tuple(goals.T)] = weight.mean(axis=1)
     total = table.sum()
     return table / total if total > 0 else table  # total 0: nothing was completed in this half
 
@@ -160,11 +173,12 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
         return [int(value) for value in drawn]
     salt = event_salt(event.scene, event.observation)
     program = EventProgram(model, 0, event.observation.n_frames, salt)
+    space = space_of_prior(model.prior)
     goals = jnp.array([h.effective_goals for h in hypotheses])
     strengths = jnp.array([h.strengths for h in hypotheses], jnp.float32)
-    sites = dict(zip(GOAL_SITES, goals.T, strict=True))
-    sites |= dict(zip(STRENGTH_SITES, strengths.T, strict=True))
-    sites[ALPHA_SITE] = jnp.zeros(len(hypotheses), jnp.int32)
+    sites = dict(zip(space.goal_sites, goals.T, strict=True))
+    sites |= dict(zip(space.strength_sites, strengths.T, strict=True))
+    sites[space.company_site] = jnp.zeros(len(hypotheses), jnp.int32)  # nobody helps or hinders
     seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
     return [int(value) for value in np.asarray(seeds)]
 
@@ -216,8 +230,6 @@ class Reference:
             return cls(budget, weights)
         given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
         if given[:1] == (ENUMERATION,):
-            what = 'a reference by enumeration (the kernel "enumerate" is another)'
-            check_is_phase(event.scene.world, what)
             each = _per_pair(given)
             return cls(budget, weights, enumeration=True, at_any_cost=True, per_pair=each)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
@@ -236,8 +248,8 @@ class Reference:
             )
         if not run.length:
             run = dataclasses.replace(run, own={**run.own, "budget": long})
-        enumerated = reference is None and event.scene.world == PHASE
-        return cls(long, weights, enumeration=enumerated, kernel=None if same else run)
+        kernel = None if same else run
+        return cls(long, weights, enumeration=reference is None, kernel=kernel)
 
     def record(self) -> Any:
         """Return the request as it is stored."""
@@ -316,13 +328,22 @@ def reference_of(
         words = "the exact sum over the table that the closed loop has read"
         return said(words, marginals(exact), 0, [], exact=True)
     if asked.enumeration:
-        plan, each = plan_enumeration(model, seed), asked.per_pair
-        if asked.at_any_cost or _affordable(plan, asked, event):
+        each, most = asked.per_pair, MOST if asked.at_any_cost else _affordable(asked, event)
+        bound = model.in_world(event.scene.world)
+        plan = plan_enumeration(bound, seed, most)
+        if plan is None and asked.at_any_cost:
+            raise InvalidSettingError(
+                f"{event.scene.world.name!r} has too many combinations of goals for a reference by "
+                f"enumeration, which takes {MOST}: expected a kernel or {NONE!r}"
+            )
+        if plan is not None:
             options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
-            found = enumerate_goals(event, model, plan, per_pair=each, **options)
-            words = f"enumeration of {len(plan.pairs)} pairs of goals, {each} simulations each"
-            halves = [(of_pairs(one), of_pairs(two)) for one, two in found.halves]
-            return said(words, of_pairs(found.probability), found.simulations, halves)
+            found = enumerate_goals(event, bound, plan, per_pair=each, **options)
+            of = "pairs" if plan.space.n_agents == 2 else "combinations"
+            words = f"enumeration of {len(plan.goals)} {of} of goals, {each} simulations each"
+            world = plan.space.world
+            halves = [(of_goals(one, world), of_goals(two, world)) for one, two in found.halves]
+            return said(words, of_goals(found.probability, world), found.simulations, halves)
     if asked.given is not None:
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
@@ -372,22 +393,26 @@ def _log_evidence(post: Posterior) -> float:
     return float(stats["log_evidence"].values[0, -1]) if "log_evidence" in stats else 0.0
 
 
-def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
-    simulations = len(plan.pairs) * asked.per_pair
-    frames = simulations * event.observation.n_frames
-    needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
-    return needed[asked.budget.unit] <= asked.budget.amount
+def _affordable(asked: Reference, event: Event) -> float:
+    """Return how many combinations of goals can be simulated within the budget."""
+    n_frames = event.observation.n_frames
+    each = {"simulations": 1.0, "frames": n_frames, "seconds": math.inf}[asked.budget.unit]
+    return min(MOST, asked.budget.amount / (each * asked.per_pair))
 
 
-def of_pairs(probability: FloatArray) -> dict[str, FloatArray]:
-    """Return the marginals of a table (goal_red, goal_green)."""
-    red, green = np.indices(probability.shape)
-    relation = relation_codes(red.ravel(), green.ravel())["relation"]
-    return {
-        "goal_red": probability.sum(axis=1),
-        "goal_green": probability.sum(axis=0),
-        "relation": np.bincount(relation, probability.ravel(), len(RELATIONS)),
+def of_goals(probability: FloatArray, world: World = PHASE) -> dict[str, FloatArray]:
+    """Return the marginals of a table (goal of the first agent, of the second, ...)."""
+    space = space_of(world)
+    agents = set(range(space.n_agents))
+    found = {
+        name: probability.sum(axis=(*(agents - {agent}),))
+        for agent, name in enumerate(space.goal_sites)
     }
+    for name, pair in space.relation_names.items():
+        joint = probability.sum(axis=(*(agents - {*pair}),))
+        codes = space.relations[pair].ravel()
+        found[name] = np.bincount(codes, joint.ravel(), len(RELATIONS))
+    return found
 
 
 def _halves_of(post: Posterior) -> list[Halves]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -245,6 +246,26 @@ def masses_of(prior: WorldPrior) -> Masses:
     """Return the masses of own goals and ways of a prior that is bound to a world."""
     with jax.ensure_compile_time_eval():  # kernels are made inside compiled code
         return masses(prior.given, prior.world)
+
+
+def effective_goals(prior: Program, most: float) -> NDArray[np.int64] | None:
+    """Return (row, agent) the effective goals of all agents that a prior may give mass to.
+
+    None: in a world other than PHASE, ``most`` are fewer than there are ways to choose own goals.
+    """
+    if not isinstance(prior, WorldPrior):
+        return np.array(list(effective.stated_hypotheses()))
+    found, space = masses_of(prior), space_of_prior(prior)
+    own = [np.flatnonzero(np.isfinite(row)) for row in found.goals]
+    if math.prod(map(len, own)) > most:
+        return None
+    stated = np.stack(np.meshgrid(*own, indexing="ij"), -1).reshape(-1, space.n_agents)
+    every = [
+        space.becomes[way, np.arange(space.n_agents), stated[:, space.owner[way]]]
+        for way in np.flatnonzero(np.isfinite(found.company))
+    ]
+    goals = np.unique(np.concatenate(every), axis=0)
+    return goals[(goals >= 0).all(axis=1)].astype(np.int64)
 
 
 def log_prior_of_effective(

@@ -305,14 +305,21 @@ def enumerated() -> ppl.Posterior:
     return inferred(walking(), "enumerate")
 
 
-def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None:
+@functools.cache
+def fits() -> FloatArray:
+    """Return (goal, level) likelihoods of the walk, by hand."""
     event, likelihood = walking(), RadialLikelihood(n_entities=3)
-    mass = np.empty((len(SOLO.goals), len(LEVELS)))
+    found = np.empty((len(SOLO.goals), len(LEVELS)))
     for (i, goal), (j, force) in itertools.product(enumerate(SOLO.goals), enumerate(LEVELS)):
         one = Hypothesis.of(SOLO, {"red agent": goal}, strength=force)
         apart = (walk(event.scene, one, 14) - event.observation.trajectory)[..., :2]
         error = np.linalg.norm(apart.reshape(14, -1), axis=1)
-        mass[i, j] = SHARES[j] * np.exp(likelihood.log_prob(error).sum() + 14 * 26)
+        found[i, j] = np.exp(likelihood.log_prob(error).sum() + 14 * 26)
+    return found
+
+
+def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None:
+    mass = SHARES * fits()
     mass /= mass.sum()
     post = enumerated()
     for goal, share in zip(SOLO.goals, mass.sum(axis=1), strict=True):
@@ -442,8 +449,31 @@ def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
     np.testing.assert_allclose(found.runs["p_goals"], found.runs["p_pair"])
     assert "rank by TV goals" in str(found)
     assert "relation" not in str(found)
-    with pytest.raises(InvalidSettingError, match='"enumerate"'):
-        ppl.compare(walking(), reference="enumeration")
+
+
+def of_one_strength(world: World) -> None:
+    roles.goals(world)
+    roles.company(world)
+    numpyro.sample("strength_red", ppl.sites.OneOf([LEVELS[2]]))
+
+
+def test_a_reference_enumerates_the_goals_of_any_world_that_has_few() -> None:
+    options: dict[str, Any] = {
+        "model": ppl.Model(of_one_strength, simulator=walkers),
+        "kernels": ["prior_mh"],
+        "budget": ppl.simulations(40),
+        "repeats": 1,
+        "chains": 8,
+        "workers": 1,
+        "progress": False,
+    }
+    found = ppl.compare(walking(), reference="enumeration", **options).settings["reference"]
+    assert found["simulations"] == 4 * len(SOLO.goals)
+    exact = fits()[:, 2] / fits()[:, 2].sum()
+    np.testing.assert_allclose(found["marginals"]["goal_red"], exact, rtol=1e-3)
+    of_many = {**options, "model": ppl.Model(simulator=walkers)}
+    with pytest.raises(InvalidSettingError, match="'trio' has too many combinations"):
+        ppl.compare(of_trio(), reference="enumeration", **of_many)
 
 
 def test_true_goals_and_relations_of_all_are_looked_up() -> None:

@@ -24,8 +24,8 @@ from phase_ppl.inference.reference import (
     _halves_of,
     enumerate_goals,
     error_of,
+    of_goals,
     of_masses,
-    of_pairs,
     plan_enumeration,
     reference_of,
 )
@@ -371,24 +371,25 @@ def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
     exact = exact_pairs()
     model = ppl.Model(prior=few_goals, simulator=straight)
     plan = plan_enumeration(model)
-    assert len(plan.pairs) == np.count_nonzero(exact)
+    assert plan is not None
+    assert len(plan.goals) == np.count_nonzero(exact)
     for one in (model, dataclasses.replace(model, noise="fixed")):
         found = enumerate_goals(EVENT, one, plan, workers=1)
         np.testing.assert_allclose(found.probability, exact, atol=1e-4)
         np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
-        assert found.simulations == 4 * len(plan.pairs)
+        assert found.simulations == 4 * len(plan.goals)
     reference = reference_of(asked(None), EVENT, model, None, seed=0, workers=1)
     assert reference["description"].startswith("enumeration of")
-    for name, expected in of_pairs(exact).items():
+    for name, expected in of_goals(exact).items():
         np.testing.assert_allclose(reference["marginals"][name], expected, atol=1e-4)
     more = asked(("enumeration", {"per_pair": 6}))
     by_chance = dataclasses.replace(model, simulator=walkers)
     reference = reference_of(more, EVENT, by_chance, None, seed=0, workers=1)
     assert "6 simulations each" in reference["description"]
-    assert reference["simulations"] == 6 * len(plan.pairs)
+    assert reference["simulations"] == 6 * len(plan.goals)
     assert 0 < reference["error"]["tv_goals"] < 1
     friendly = exact[RELATIONS.index("friendly") == RELATION_TABLE].sum()
-    assert of_pairs(exact)["relation"][RELATIONS.index("friendly")] == pytest.approx(friendly)
+    assert of_goals(exact)["relation"][RELATIONS.index("friendly")] == pytest.approx(friendly)
 
 
 def test_the_reference_of_a_table_is_its_sum() -> None:
@@ -422,9 +423,9 @@ def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
         exact /= exact.sum()
         # as four simulations with so much noise have them
         found = of_masses(pairs, log_mass[:, None] + rng.normal(0, sd, (len(pairs), 4)))
-        error = error_of([(of_pairs(one), of_pairs(other)) for one, other in found.halves])
+        error = error_of([(of_goals(one), of_goals(other)) for one, other in found.halves])
         assert error is not None
-        true.append(distances(of_pairs(found.probability), of_pairs(exact))["tv_goals"])
+        true.append(distances(of_goals(found.probability), of_goals(exact))["tv_goals"])
         stated.append(error["tv_goals"])
     assert np.mean(np.less(true, stated)) >= 0.7
     assert np.mean(true) < np.mean(stated) < 2.5 * np.mean(true)

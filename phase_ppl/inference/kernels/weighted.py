@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -23,8 +22,6 @@ from phase_ppl.models.density import NO_DENSITY, Sites, log_density
 from phase_ppl.models.effective import (
     WorldPrior,
     cells,
-    drawn_stated,
-    log_prior_of_effective,
     prior_table,
     space_of_prior,
     stated_hypotheses,
@@ -33,8 +30,7 @@ from phase_ppl.models.effective import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.roles import masses_of
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
+from phase_ppl.models.roles import drawn_stated, effective_goals, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -184,8 +180,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SI
 
     A strength stands for all that are nearer to it than to any other, and has their prior mass. In
     other worlds than PHASE, and for grids beyond the range of strengths, it has the prior density
-    at its value. Other worlds have at most ``most`` hypotheses; each way to help or hinder counts
-    by itself.
+    at its value. In other worlds than PHASE, more than ``most`` hypotheses are refused.
     """
     space = space_of_prior(model.prior)
     own = [name for name in model.sites if name not in space.sites]
@@ -200,33 +195,38 @@ def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SI
         )
     with jax.ensure_compile_time_eval():  # kernels may be made inside compiled code
         forces = tuple(float(value) for value in strengths)
-        if isinstance(model.prior, WorldPrior):
-            return _grid_in_world(model.prior, forces, most)
-        return _grid(model.prior, forces)
+        return _grid(model.prior, forces, most)
 
 
 @functools.lru_cache(8)
-def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
-    pairs = np.array(list(stated_hypotheses()), np.int64)
-    forces = np.array(list(itertools.product(strengths, repeat=2)), np.float32)
-    # strengths vary slowest: a run that is cut short has seen every pair of goals
-    which = np.tile(np.arange(len(pairs)), len(forces))
-    force = np.repeat(forces, len(pairs), axis=0)
+def _grid(prior: Any, strengths: tuple[float, ...], most: int) -> Grid:
+    space = space_of_prior(prior)
+    forces = np.array(list(itertools.product(strengths, repeat=space.n_agents)), np.float32)
+    goals = effective_goals(prior, most // len(forces))
+    if goals is None:
+        raise InvalidSettingError(
+            f"{space.world.name!r} has so many combinations of goals that, with the strengths "
+            f"{list(strengths)}, there are more than max_simulations={most} hypotheses"
+        )
+    # strengths vary slowest: a run that is cut short has seen all goals
+    which = np.tile(np.arange(len(goals)), len(forces))
+    force = np.repeat(forces, len(goals), axis=0)
     trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
-    laws = [trace[name]["fn"] for name in STRENGTH_SITES]
+    laws = [trace[name]["fn"] for name in space.strength_sites]
     low, high = STRENGTH_RANGE
     within = low <= min(strengths) and max(strengths) <= high
-    if within and not any(law.support.is_discrete for law in laws):
-        log_prior = _log_cells(prior, pairs, strengths).ravel()
+    in_cells = within and not any(law.support.is_discrete for law in laws)
+    if in_cells and not isinstance(prior, WorldPrior):
+        log_prior = _log_cells(prior, goals, strengths).ravel()
     else:
-        columns = dict(zip(STRENGTH_SITES, force.T.astype(np.float64), strict=True))
-        log_prior = log_prior_of_effective(prior, pairs[which], columns)
+        columns = dict(zip(space.strength_sites, force.T.astype(np.float64), strict=True))
+        log_prior = log_prior_of_effective(prior, goals[which], columns)
         depends = upstream(prior)
-        for name, law in zip(STRENGTH_SITES, laws, strict=True):
-            log_prior = log_prior + _log_newtons(law, columns[name], cut=not depends[name])
-    stated, _ = drawn_stated(prior, pairs[which], force)
-    sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
-    sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
+        for (name, newtons), law in zip(columns.items(), laws, strict=True):
+            log_prior = log_prior + _log_newtons(law, newtons, cut=not depends[name])
+    stated, _ = drawn_stated(prior, goals[which], force)
+    sites = dict(zip(space.limits, stated.T.astype(np.int32), strict=True))
+    sites |= dict(zip(space.strength_sites, force.T, strict=True))
     return _with_mass(prior, sites, log_prior, strengths)
 
 
@@ -242,44 +242,6 @@ def _log_cells(prior: Any, pairs: NDArray[np.int64], strengths: tuple[float, ...
     each = (by_pair / np.multiply.outer(count, count)[..., None])[place[:, None], place]
     with np.errstate(divide="ignore"):  # of what the prior cannot have
         return np.asarray(np.log(each))
-
-
-@functools.lru_cache(8)
-def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -> Grid:
-    found, space = masses_of(prior), space_of_prior(prior)
-    n_agents = space.n_agents
-    forces = np.array(list(itertools.product(strengths, repeat=n_agents)), np.float32)
-    possible = [np.flatnonzero(np.isfinite(row)) for row in found.goals]
-    blocks, log_masses = [], []
-    ways = [way for way in range(len(space.ways)) if np.isfinite(found.company[way])]
-    owners = [[one is None for one in space.ways[way]] for way in ways]
-    n = sum(math.prod(len(p) for p, o in zip(possible, own, strict=True) if o) for own in owners)
-    if n * len(forces) > most:
-        raise InvalidSettingError(
-            f"{space.world.name!r} has {n} combinations of goals and of who helps or hinders whom, "
-            f"and with the strengths {list(strengths)} {n * len(forces)} hypotheses: more than "
-            f"max_simulations={most}"
-        )
-    for way, own in zip(ways, owners, strict=True):
-        # helpers and hinderers do not use their own goal: any goal will do
-        choices = [p if is_own else p[:1] for p, is_own in zip(possible, own, strict=True)]
-        rows = np.array(list(itertools.product(*choices)), np.int32).reshape(-1, n_agents)
-        blocks.append(np.column_stack([rows, np.full(len(rows), way)]))
-        used = [found.goals[a][rows[:, a]] for a in range(n_agents) if own[a]]
-        log_masses.append(found.company[way] + np.sum(used, axis=0))
-    stated, log_goals = np.concatenate(blocks), np.concatenate(log_masses)
-    which = np.tile(np.arange(len(stated)), len(forces))
-    force = np.repeat(forces, len(stated), axis=0)
-    sites = dict(zip(space.sites, stated[which].T.astype(np.int32), strict=False))
-    sites |= dict(zip(space.strength_sites, force.T, strict=True))
-    log_strengths = np.zeros(len(which))
-    for name in space.strength_sites:
-        law = found.trace[name]["fn"]
-        log_strengths += np.asarray(law.log_prob(sites[name]), np.float64)
-        log_strengths += _log_newtons(law, sites[name])
-    inside = space.in_support(sites)
-    kept = {name: values[inside] for name, values in sites.items()}
-    return _with_mass(prior, kept, (log_goals[which] + log_strengths)[inside], strengths)
 
 
 def _log_newtons(law: Any, strengths: NDArray[Any], cut: bool = True) -> FloatArray:
