@@ -25,7 +25,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
 from phase_ppl.world.hypothesis import SCENARIOS
-from phase_ppl.world.picture import Colour, trail_colour
+from phase_ppl.world.picture import SCENARIO_COLOURS, Colour, trail_colour
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
 
@@ -464,14 +464,6 @@ def draw_strip(
 
 
 # --- a whole set of events as one picture ---------------------------------------------------------
-
-SCENARIO_COLOURS: Final[dict[str, Colour]] = {
-    "collaborative": (0, 158, 115),
-    "independent": (86, 160, 211),
-    "competing": (230, 159, 0),
-    "opposing": (213, 94, 0),
-}
-"""Colours that can be told apart without distinguishing red from green."""
 
 UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)  # of events without truth
 THUMBNAIL: Final = 192

@@ -51,6 +51,14 @@ ITEM_COLOURS: Final = {
     "grey": (180, 180, 180),
     "green": (150, 220, 120),
 }
+SCENARIO_COLOURS: Final[dict[str, Colour]] = {
+    "collaborative": (0, 158, 115),
+    "independent": (77, 111, 179),
+    "competing": (201, 138, 0),
+    "opposing": (184, 51, 106),
+}
+"""Colours that people with red-green blindness can tell apart."""
+
 _TRAILS: Final = dict(zip(ENTITY_COLOURS, TRAIL_COLOURS, strict=True))
 _DARKER: Final = 0.7
 _PALER: Final = 0.45

@@ -19,7 +19,6 @@ from PIL import Image
 
 from phase_ppl.render import contact_sheet, image, strip, video, videos
 from phase_ppl.render.frames import (
-    SCENARIO_COLOURS,
     THUMBNAIL,
     UNKNOWN_COLOUR,
     Painter,
@@ -33,7 +32,7 @@ from phase_ppl.world.errors import (
     PhasePPLError,
 )
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.picture import ENTITY_COLOURS
+from phase_ppl.world.picture import ENTITY_COLOURS, SCENARIO_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, new_figure, written
 from phase_ppl.evaluation.doubt import label_places
 from phase_ppl.evaluation.figures.frame import (
-    SCENARIO_COLOURS,
     NothingToDrawError,
     PathLike,
     Source,
     drawing,
     fitting,
     opened,
+    scenario_colour,
     scenarios_of,
 )
 from phase_ppl.evaluation.table import Answers
@@ -66,7 +66,7 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
         said = Answers.of(events, answers.predictions)
         columns = ("probability", "people", "truth")
         p, shares, true = (said.array("relation", name)[:, 0] for name in columns)
-        colours = np.array([SCENARIO_COLOURS.get(scenarios.get(e.id, ""), GREY) for e in events])
+        colours = np.array([scenario_colour(scenarios.get(e.id, "")) for e in events])
         both, truth = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0]), label_places(true)
         _doubts(left, p[both], shares[both], colours[both], (0.0, 1.0))
         left.set_ylabel("people")

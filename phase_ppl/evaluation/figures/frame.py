@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
-from phase_ppl.analysis.figures.style import NORMAL, in_style
+from phase_ppl.analysis.figures.style import GREY, NORMAL, in_style
 from phase_ppl.evaluation.cells import KIND_WORDS
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
 from phase_ppl.evaluation.table import AnswerSet, true_scenario
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.files import writable_folder
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.picture import SCENARIO_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,11 +28,6 @@ Source: TypeAlias = Results | PathLike
 KIND_TITLES: Final[dict[str, str]] = {
     kind: words.capitalize() for kind, words in KIND_WORDS.items()
 }
-
-SCENARIO_COLOURS: Final = dict(
-    zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)
-)
-"""Colours that people with red-green blindness can tell apart."""
 
 FOLDER: Final = "figures"  # subfolder of the results
 
@@ -89,6 +84,12 @@ def compared(source: Source) -> ModelComparison:
 def scenarios_of(results: Results) -> dict[str, str]:
     """Return event -> true scenario, of the events of PHASE whose truth is known."""
     return {event.id: name for event in results.events if (name := true_scenario(event))}
+
+
+def scenario_colour(name: str) -> str:
+    """Return the colour of a scenario as matplotlib takes it; grey, if it is none."""
+    colour = SCENARIO_COLOURS.get(name)
+    return GREY if colour is None else "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 # --- layout ---------------------------------------------------------------------------------------

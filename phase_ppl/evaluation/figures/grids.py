@@ -25,7 +25,6 @@ from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.differences import ALPHA
 from phase_ppl.evaluation.figures.frame import (
     KIND_TITLES,
-    SCENARIO_COLOURS,
     NothingToDrawError,
     PathLike,
     Source,
@@ -35,6 +34,7 @@ from phase_ppl.evaluation.figures.frame import (
     in_words,
     name_rows,
     opened,
+    scenario_colour,
     scenarios_of,
     width_of,
 )
@@ -192,7 +192,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
                 if of == name:
                     axes.scatter(
                         x, y, s=_AREA * (1 + scale * (n - 1)), alpha=0.55, lw=0.5, zorder=2,
-                        color=SCENARIO_COLOURS.get(name, GREY), edgecolor="white", clip_on=False,
+                        color=scenario_colour(name), edgecolor="white", clip_on=False,
                     )  # fmt: skip
             axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09))
             axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
@@ -206,7 +206,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     judged = next(o.predictions for o in results.measured if o.kind == "people")
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
         n = sum(scenarios.get(event, "") == name for event in judged)
-        style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
+        style = {"color": scenario_colour(name), "fontweight": "bold"}
         title = name or ("scenario not known" if scenarios else "all events")
         titled(top, title, f"n = {n}", fontsize=NORMAL, **style)
         bottom.set_xlabel("people", fontsize=SMALL)
@@ -378,7 +378,7 @@ def film_strips(source: Source, path: PathLike | None = None) -> Figure:
     figure = new_figure(_WIDTH, sum(heights) + 0.3 * len(strips))
     grid = figure.subplots(len(strips), 1, squeeze=False, height_ratios=heights)
     for axes, (name, event), strip in zip(grid[:, 0], chosen.items(), strips, strict=True):
-        style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
+        style = {"color": scenario_colour(name), "fontweight": "bold"}
         axes.set_title(name, fontsize=NORMAL, **style)
         goals = "; ".join(
             f"{question.removeprefix('goal_')}: {answer}"
