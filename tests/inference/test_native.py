@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Iterator
 from typing import Any
@@ -22,6 +23,7 @@ from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.native import OpenProgram
 from phase_ppl.inference.tables import window_count
 from phase_ppl.models.density import NO_DENSITY
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.simulator.contract import SimulationResult, Statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
 from tests.inference.runs import EVENT, MODEL, OPTIONS
@@ -376,3 +378,19 @@ def test_a_prior_can_be_stepped_through_in_infer_and_in_mcmc() -> None:
         post = ppl.infer(EVENT, model, **{**OPTIONS, **few})
         assert seen
     assert post.tree["posterior"].sizes["draw"] == 1
+
+
+@pytest.mark.slow
+def test_a_kernel_that_is_stepped_through_weighs_numbers() -> None:
+    seen: list[bool] = []
+
+    class Watched(RadialLikelihood):
+        def log_prob(self, errors: Any) -> Any:
+            seen.append(isinstance(errors, jax.core.Tracer))
+            return super().log_prob(errors)
+
+    model = dataclasses.replace(MODEL, likelihood=Watched())
+    with jax.disable_jit():
+        ppl.infer(EVENT, model, **{**OPTIONS, "kernel": "smc", "chains": 2, "iterations": 1})
+    assert seen
+    assert not any(seen)

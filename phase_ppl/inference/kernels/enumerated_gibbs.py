@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 
-from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import NO_DENSITY
@@ -78,7 +78,7 @@ class EnumeratedGibbs(MetropolisKernel):
             # goals without prior mass are not simulated
             return log_prior, Request(sites, jnp.where(kept, -jnp.inf, log_prior), seed)
 
-        log_prior, request = jax.vmap(asked)(jnp.arange(space.n_goals), jnp.stack(keys))
+        log_prior, request = for_each(asked, jnp.arange(space.n_goals), jnp.stack(keys))
         known = state, agent, current, log_prior, request.seed, key_value, (key, *keys_after)
         return known, request
 

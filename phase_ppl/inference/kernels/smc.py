@@ -229,7 +229,7 @@ class SMC(EventKernel):
 
     def propose(self, state: SMCState) -> tuple[Any, Request]:
         """Cool and resample the population, and propose a move of each particle."""
-        keys = jax.vmap(lambda key: random.split(key, 3))(state.rng_key)
+        keys = for_each(lambda key: random.split(key, 3), state.rng_key)
         log_likelihood = self._log_likelihood(state.particle)
         old = state.temperature[0]
         before = state.log_weight - powered(log_likelihood, 1 - old)
@@ -242,7 +242,7 @@ class SMC(EventKernel):
         particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
         particle = particle._replace(rng_key=keys[:, 1])
         mover = self._mover(tempered(self.program, temperature))
-        proposed, request = jax.vmap(mover.propose)(particle)
+        proposed, request = for_each(mover.propose, particle)
         # the probability that a simulation is not stopped follows from L^t, not from L: so it
         # cannot be weighed like those of other kernels
         unknown = jnp.full_like(weights, np.nan)
@@ -253,7 +253,7 @@ class SMC(EventKernel):
         """Move the population."""
         i, proposed, temperature, so_far, keys = known
         mover = self._mover(tempered(self.program, temperature))
-        particle = jax.vmap(mover.accept)(proposed, step_error)
+        particle = for_each(mover.accept, proposed, step_error)
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)
         return SMCState(
             i=i,
@@ -271,4 +271,5 @@ class SMC(EventKernel):
         return logsumexp(log_weight) - np.log(len(log_weight)) + without_error
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
-        return jax.vmap(self.program.relative_log_likelihood)(particle.step_error)
+        found: jax.Array = for_each(self.program.relative_log_likelihood, particle.step_error)
+        return found

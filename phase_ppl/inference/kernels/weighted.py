@@ -15,7 +15,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.inference.kernels.metropolis import EventKernel, chosen
+from phase_ppl.inference.kernels.metropolis import EventKernel, chosen, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import NO_DENSITY, Sites, log_density
@@ -349,7 +349,7 @@ class Enumeration(EventKernel):
         def before(key: jax.Array) -> WeightedState:
             return WeightedState.before(random.split(key, 3)[0], self._sites(jnp.zeros((), int)))
 
-        return self.propose(jax.vmap(before)(keys))
+        return self.propose(for_each(before, keys))
 
     def started(self, known: Any, step_error: jax.Array) -> WeightedState:
         return self.accept(known, step_error)
@@ -357,7 +357,9 @@ class Enumeration(EventKernel):
     def propose(self, state: WeightedState) -> tuple[Any, Request]:
         """Ask for the next hypothesis of each particle, if there is one."""
         chains = len(state.i)
-        return jax.vmap(self._asked)(state, (state.i + 1) * chains + jnp.arange(chains))
+        numbers = (state.i + 1) * chains + jnp.arange(chains)
+        asked: tuple[Any, Request] = for_each(self._asked, state, numbers)
+        return asked
 
     def accept(self, known: Any, step_error: jax.Array) -> WeightedState:
         """Weigh the hypotheses."""
@@ -370,7 +372,8 @@ class Enumeration(EventKernel):
             possible = jnp.isfinite(error).all()
             return state.after(key, request.sites, request.seed, log_weight, possible)
 
-        return jax.vmap(weighed)(known, step_error)
+        after: WeightedState = for_each(weighed, known, step_error)
+        return after
 
     def _sites(self, row: jax.Array) -> dict[str, jax.Array]:
         return {name: jnp.asarray(values)[row] for name, values in self._grid.sites.items()}

@@ -27,6 +27,7 @@ from numpyro.infer.mcmc import MCMCKernel
 from phase_ppl.inference.kernels.metropolis import (
     EventKernel,
     chosen,
+    for_each,
     log_uniform,
 )
 from phase_ppl.inference.registry import register_kernel
@@ -94,20 +95,21 @@ class UniformKernel(EventKernel):
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
 
     def begun(self, keys: jax.Array, _: Any) -> WrappedState:
-        keys = jax.vmap(lambda key: random.split(key, 3))(keys)
+        keys = for_each(lambda key: random.split(key, 3), keys)
         # starting points from the prior
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
-        inner = self.started_at(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
-        found = jax.vmap(self._simulated)(self.points(inner))
+        inner = self.started_at(keys[:, 0], for_each(draw, keys[:, 1]))
+        found = for_each(self._simulated, self.points(inner))
         none = jnp.zeros(len(keys), jnp.int32)
         return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
 
     def moved(self, state: WrappedState) -> WrappedState:
-        keys = jax.vmap(random.split)(state.rng_key)
+        keys = for_each(random.split, state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
-        found = jax.vmap(self._simulated)(self.points(inner))  # already simulated by the sampler
-        return jax.vmap(WrappedState.after)(state, inner, moved, found, keys[:, 1])
+        found = for_each(self._simulated, self.points(inner))  # already simulated by the sampler
+        after: WrappedState = for_each(WrappedState.after, state, inner, moved, found, keys[:, 1])
+        return after
 
     def _simulated(self, point: jax.Array) -> Found:
         program, sites = self.program, self._sites(point)
