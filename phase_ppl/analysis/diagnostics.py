@@ -75,7 +75,7 @@ def diagnostics(
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
-    * ``overlapping_frames``: frames in which bodies overlap each other or a wall.
+    * ``n_frames``, ``overlapping_frames``, ``unseen_frames``: see :func:`of_tracks`.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
 
@@ -165,7 +165,7 @@ def diagnostics(
         "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
         **_simulation_costs(tree, n_frames),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
-        "overlapping_frames": overlapping_frames(
+        **of_tracks(
             trees.array(tree, "observed_data", "trajectory"),
             trees.kept_scene(tree["constant_data"].dataset),
         ),
@@ -301,6 +301,20 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
         near |= apart < 3 * (radius[one] + radius[other])
     frames = np.flatnonzero(near).tolist()
     return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
+
+
+def of_tracks(trajectory: FloatArray, scene: Scene) -> dict[str, Any]:
+    """Return what diagnostics have of the trajectories themselves.
+
+    Keys: ``n_frames``; ``overlapping_frames``, in which bodies overlap each other or a wall;
+    ``unseen_frames``, in which each entity was not seen, of those that were not at times.
+    """
+    names = zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True)
+    return {
+        "n_frames": len(trajectory),
+        "overlapping_frames": overlapping_frames(trajectory, scene),
+        "unseen_frames": {name: np.flatnonzero(one).tolist() for name, one in names if one.any()},
+    }
 
 
 # --- as a table -----------------------------------------------------------------------------------
