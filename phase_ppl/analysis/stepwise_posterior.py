@@ -334,7 +334,7 @@ class StepwisePosterior(EventPosterior):
             "surprising_share": float((surprise > SURPRISE).mean()) if known else None,
             "unexplained_most": float(unexplained[1:].max()) if seen else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
-            **of_tracks(observed, self.scene),
+            **of_tracks(observed, self.scene, not self._table.own),
         }
         return {**result, **of_reading(result)}
 

@@ -63,6 +63,17 @@ _TRUST: Final = {
 _CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
+_RATE: Final = (
+    "a frame is a twelfth of a second, and tracks with another number of frames a second are read "
+    "by phase_ppl.Observation.at_rate(trajectory, fps)"
+)
+ODD_PACE: Final = {
+    "slow": "agents change their speed less than the floor's friction alone would make them; "
+    f"{_RATE}",
+    "fast": f"agents change their speed more than the strongest push could make them; {_RATE}",
+}
+"""What is odd about tracks that no agents of a world can make."""
+
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -161,6 +172,10 @@ def _of_tracks(found: Record) -> Iterator[Check]:
         )
         value = f"not in {len(frames)} frames"
         yield Check("bodies are apart", "fail", value, "always", says, _TRACKS)
+    if pace := found["odd_pace"]:
+        says = f"{ODD_PACE[pace][0].upper()}{ODD_PACE[pace][1:]}."
+        value = f"too {pace}"
+        yield Check("agents move as they can", "fail", value, "as pushes do", says, "check fps")
     if unseen := found["unseen_frames"]:
         told = ", ".join(f"{name} in {_frames(frames)}" for name, frames in unseen.items())
         says = (

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
 import phase_ppl as ppl
@@ -18,6 +20,7 @@ QUICK = ppl.Model(
     likelihood=ppl.StepwiseLikelihood(planner_seeds=1),
     planner=ppl.PlannerConfig(simulations=14, particles=6),
 )
+STINGY = dataclasses.replace(QUICK, planner=ppl.PlannerConfig(simulations=2, particles=2))
 FRAMES = 12
 
 
@@ -96,6 +99,22 @@ def test_frames_with_time_stamps_are_put_on_the_grid_while_watching(event: ppl.E
     batch = ppl.Observation.at_times(frames[:6], times)
     np.testing.assert_allclose(post.observed(), batch.trajectory)
     assert set(post.diagnostics()["unseen_frames"]["red agent"]) == set(range(4, 10))
+
+
+@pytest.mark.parametrize(("fps", "pace"), [(12, ""), (60, "slow"), (5, "fast")])
+def test_the_verdict_names_tracks_that_show_another_rate(fps: float, pace: str) -> None:
+    whole = ppl.load_event("compete")
+    track = whole.observation.trajectory
+    at = np.arange(0, len(track) - 1, 12 / fps)[:70]
+    seen = CubicSpline(range(len(track)), track)(at)
+    event = dataclasses.replace(whole, observation=ppl.Observation(seen))
+    warns = pytest.warns(UserWarning, match="at_rate") if pace else contextlib.nullcontext()
+    with warns:
+        found = infer(event, STINGY).diagnostics()
+    assert found["odd_pace"] == pace
+    assert ("Agents change their speed" in found["verdict"]) == bool(pace)
+    if pace:
+        assert found["trust"] == "do not trust"
 
 
 @pytest.mark.parametrize("world", [ppl.worlds.SOLO, ppl.worlds.TRIO], ids=["solo", "trio"])
