@@ -200,7 +200,8 @@ def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, fl
     begins, over 5 units. ``synchrony``: mean cosine between their motions, 0 in frames in which
     one rests.
     """
-    trajectory, radius = observation.trajectory, np.asarray(scene.radius)
+    trajectory = observation.whole("a guess from cues").trajectory
+    radius = np.asarray(scene.radius)
     red, green = trajectory[:, 0, :2], trajectory[:, 1, :2]
     apart = np.linalg.norm(red - green, axis=1)
     touch = apart < REACH * (radius[0] + radius[1])
@@ -265,7 +266,8 @@ class Perception:
     ) -> list[ppl.Observation]:
         """Return ``percepts`` readings; the same seed gives the same ones."""
         rng = np.random.default_rng(seed)
-        return [self._reading(scene, observation.trajectory, rng) for _ in range(self.percepts)]
+        trajectory = observation.whole("an observer").trajectory
+        return [self._reading(scene, trajectory, rng) for _ in range(self.percepts)]
 
     def _reading(
         self, scene: ppl.Scene, trajectory: FloatArray, rng: np.random.Generator

@@ -64,7 +64,8 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     bodies, held, weld = start[0][None].copy(), start[1][None].copy(), start[2][None].copy()
     params = compiled.make_params(scene, strengths, inner_steps=WORLD_INNER_STEPS)
     scratch, trial = compiled.make_scratch(), inverse.make_trial()
-    newtons, gains = np.array([strengths]), filter_gains(tracking.scale, 0.0)
+    newtons, unseen = np.array([strengths]), np.zeros(len(ENTITIES), np.int64)
+    gains = np.tile(filter_gains(tracking.scale, 0.0), (len(ENTITIES), 1))
     trajectory = [np.array(scene.start)]
     conduct = likelihood.conduct
     for _ in range(n_frames - 1):
@@ -82,7 +83,7 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
         frame[:, 0], frame[:, 1] = frame[:, 0].clip(x0, x1), frame[:, 1].clip(y0, y1)
         after = bodies.copy(), held.copy(), weld.copy()
         inverse.follow(bodies, held, weld, newtons, np.zeros(1, np.int64), np.array([done]), frame,
-                       gains, params, scratch, trial, *after)  # fmt: skip
+                       gains, unseen, params, scratch, trial, *after)  # fmt: skip
         bodies, held, weld = after
         trajectory.append(frame)
     red, green = strengths

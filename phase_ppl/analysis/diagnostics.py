@@ -18,6 +18,7 @@ from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
+from phase_ppl.data.motion import odd_pace
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
@@ -75,7 +76,8 @@ def diagnostics(
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
-    * ``overlapping_frames``: frames in which bodies overlap each other or a wall.
+    * ``n_frames``, ``overlapping_frames``, ``odd_pace``, ``unseen_frames``: see
+      :func:`of_tracks`.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
 
@@ -165,9 +167,10 @@ def diagnostics(
         "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
         **_simulation_costs(tree, n_frames),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
-        "overlapping_frames": overlapping_frames(
+        **of_tracks(
             trees.array(tree, "observed_data", "trajectory"),
             trees.kept_scene(tree["constant_data"].dataset),
+            json.loads(tree.attrs["settings"]).get("model", {}).get("simulator") == "joint",
         ),
     }
     result: dict[str, Any] = plain(record)
@@ -301,6 +304,22 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
         near |= apart < 3 * (radius[one] + radius[other])
     frames = np.flatnonzero(near).tolist()
     return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
+
+
+def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, Any]:
+    """Return what diagnostics have of the trajectories themselves.
+
+    Keys: ``n_frames``; ``overlapping_frames``, in which bodies overlap each other or a wall;
+    ``unseen_frames``, in which each entity was not seen, of those that were not at times; and for
+    the joint simulator ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else "".
+    """
+    names = zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True)
+    return {
+        "n_frames": len(trajectory),
+        "overlapping_frames": overlapping_frames(trajectory, scene),
+        "odd_pace": odd_pace(trajectory, scene) if joint else "",
+        "unseen_frames": {name: np.flatnonzero(one).tolist() for name, one in names if one.any()},
+    }
 
 
 # --- as a table -----------------------------------------------------------------------------------

@@ -150,8 +150,9 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     }
     for name in names & {*numbers}:
         values = found[name].values
-        unasked = name == "log_likelihood" and is_own
-        if (np.isnan(values).any() and not unasked) or (values == np.inf).any():
+        # not asked, or not seen
+        unknown = name == "trajectory" or (name == "log_likelihood" and is_own)
+        if (np.isnan(values).any() and not unknown) or (values == np.inf).any():
             raise InvalidEventError(f"{name} has values that are no {numbers[name]}")
 
 

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition
-from phase_ppl.analysis.diagnostics import overlapping_frames
+from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
@@ -311,15 +311,17 @@ class StepwisePosterior(EventPosterior):
         probable goals and relation (:meth:`leaders`), and whether all are ``decided``;
         ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
         ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
-        ``unexplained_frames``, which no action explains; ``overlapping_frames``, in which bodies
-        lie on each other or in a wall; and ``trust``, ``answer``, ``checks``, ``next`` and
-        ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
+        ``unexplained_frames``, which no action explains; what
+        :func:`phase_ppl.analysis.diagnostics.of_tracks` says; and ``trust``, ``answer``,
+        ``checks``, ``next`` and ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
         unexplained = np.array(found["unexplained"].values, float)
+        observed = self.observed()
         surprise = self.surprise() - unexplained
+        surprise = surprise[1:][~np.isnan(observed[1:, :, 0]).all(axis=1)]
         leading = self.leaders()
-        known, seen = np.isfinite(surprise[1:]).any(), np.isfinite(unexplained[1:]).any()
+        known, seen = np.isfinite(surprise).any(), np.isfinite(unexplained[1:]).any()
         result = {
             "frames": self._frame + 1,
             "planner_seeds": self.planner_seeds,
@@ -327,12 +329,12 @@ class StepwisePosterior(EventPosterior):
             "samples": self._table.samples,
             "leading": leading,
             "decided": all(one["sure"] for one in leading.values()),
-            "surprise_median": float(np.median(surprise[1:])) if known else None,
+            "surprise_median": float(np.median(surprise)) if known else None,
             "surprise_reference": SURPRISE,
-            "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known else None,
+            "surprising_share": float((surprise > SURPRISE).mean()) if known else None,
             "unexplained_most": float(unexplained[1:].max()) if seen else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
-            "overlapping_frames": overlapping_frames(self.observed(), self.scene),
+            **of_tracks(observed, self.scene, not self._table.own),
         }
         return {**result, **of_reading(result)}
 

@@ -63,6 +63,17 @@ _TRUST: Final = {
 _CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
+_RATE: Final = (
+    "a frame is a twelfth of a second, and tracks with another number of frames a second are read "
+    "by phase_ppl.Observation.at_rate(trajectory, fps)"
+)
+ODD_PACE: Final = {
+    "slow": "agents change their speed less than the floor's friction alone would make them; "
+    f"{_RATE}",
+    "fast": f"agents change their speed more than the strongest push could make them; {_RATE}",
+}
+"""What is odd about tracks that no agents of a world can make."""
+
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -152,14 +163,27 @@ def as_html(found: Record) -> str:
 # --- of draws, and of a reading step by step ------------------------------------------------------
 
 
-def _apart(frames: list[int]) -> Iterator[Check]:
-    if frames:
+def _of_tracks(found: Record) -> Iterator[Check]:
+    """Yield the checks of what was seen itself that it does not pass."""
+    if frames := found["overlapping_frames"]:
         says = (
             f"Bodies lie on each other or in a wall in {_frames(frames)}, which bodies of this "
             "world cannot: what they do there says little of goals."
         )
         value = f"not in {len(frames)} frames"
         yield Check("bodies are apart", "fail", value, "always", says, _TRACKS)
+    if pace := found["odd_pace"]:
+        says = f"{ODD_PACE[pace][0].upper()}{ODD_PACE[pace][1:]}."
+        value = f"too {pace}"
+        yield Check("agents move as they can", "fail", value, "as pushes do", says, "check fps")
+    if unseen := found["unseen_frames"]:
+        told = ", ".join(f"{name} in {_frames(frames)}" for name, frames in unseen.items())
+        says = (
+            f"Not seen: {told}. There the frames say nothing of it; where it was is the model's "
+            "guess, and what it did there counts for no goal."
+        )
+        value = f"not in {len(set().union(*unseen.values()))} of {found['n_frames']} frames"
+        yield Check("all bodies are seen", "unknown", value, "always", says)
 
 
 def _frames(frames: list[int]) -> str:
@@ -197,7 +221,7 @@ def of_draws(found: Record) -> dict[str, Any]:
     if draws == 1 and weighted:  # a population
         more = f"take more particles: chains={4 * particles}"
     longer = f"{more}, or {_CLOSED_LOOP}"
-    checks = [*_apart(found["overlapping_frames"])]
+    checks = [*_of_tracks(found)]
     if weights == "likelihood":
         says = "The weights 'likelihood' make every probability too extreme."
         checks.append(Check("weights", "fail", weights, "any other", says, 'weights="count"'))
@@ -380,7 +404,7 @@ def of_reading(found: Record) -> dict[str, Any]:
         return judged(leaders, [Check("frames seen", "doubt", "the start", "2 or more", says, see)])
     given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
     more = f"search more: likelihood=ppl.StepwiseLikelihood({given})"
-    checks = [_explained(found, own), *_apart(found["overlapping_frames"])]
+    checks = [_explained(found, own), *_of_tracks(found)]
     checks += [] if own else [_expected(found)]
     checks.append(_decided(leaders, "" if own and not samples else more))
     errors = {key: one["error"] or 0.0 for key, one in leaders.items()}

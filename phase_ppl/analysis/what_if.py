@@ -362,7 +362,7 @@ def simulated(
     ]
     poses = np.array(list(mapped(_simulate, tasks, number_of_workers(workers), "simulation")))
     if at:  # a frame is the mean over a step, a state its end: show what was seen
-        there = poses[:, 0, :, 0] > AWAY / 2
+        there = (poses[:, 0, :, 0] > AWAY / 2) & ~np.isnan(observed[at]).any(axis=1)
         poses[:, 0][there] = np.broadcast_to(observed[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,

@@ -289,19 +289,26 @@ class GoalFilter:
         )
 
     def read(self, frame: FloatArray) -> Reading:
-        """Take in the next frame, (entity, 3) x, y [units], angle [rad]."""
+        """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen."""
         hidden = self._sets.hidden
         plans = self._sets.plans(self._choose_wanted())
-        log_density = hidden.advance(frame, self._sets.map)
+        policies, policy_of = policies_of(plans, self._conduct)
+        unseen = np.isnan(frame[: len(self._points)]).any(axis=1)
+        expected = self._expected(policies, policy_of) if unseen.any() else None
+        log_density = hidden.advance(frame, self._sets.map, expected)
         highest = float(log_density.max())
         relative = np.exp(log_density - highest)
-        policies, policy_of = policies_of(plans, self._conduct)
         shift = np.zeros(self._n_tables)
         if self._is_followed:
             shift = self._follow(log_density, policies, policy_of)
         if self._marginals is not None:
             self._update_marginals(relative, policies, policy_of)
-        self._sets.acted(most_probable_actions(log_density))
+        acted = log_density
+        for agent in np.flatnonzero(unseen):  # the frame does not tell what they did
+            assert expected is not None
+            others = [axis for axis in range(acted.ndim) if axis != agent]
+            acted = acted + np.expand_dims(np.log(expected[agent]), others)
+        self._sets.acted(most_probable_actions(acted))
         axes = range(log_density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
@@ -347,6 +354,18 @@ class GoalFilter:
         self._log_mass += self._weight * so_far
         return shift
 
+    def _expected(self, policies: list[FloatArray], policy_of: list[IntArray]) -> list[FloatArray]:
+        """Return (agent) (action,) what is expected of each by what is believed of its goal."""
+        found = []
+        for agent, (table, numbers) in enumerate(zip(policies, policy_of, strict=True)):
+            if self._is_followed:
+                rows, log_mass = self._of_rows[agent], self._log_mass
+            else:
+                assert self._marginals is not None, "one of the two tells of goals"
+                rows, log_mass = self._usual[agent], self._marginals[agent]
+            found.append(_mean_policy(np.nanmean(table, axis=1)[numbers[rows]], log_mass))
+        return found
+
     def _update_marginals(
         self, relative: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
     ) -> None:
@@ -356,15 +375,20 @@ class GoalFilter:
             policies, policy_of, self._usual, self._marginals, strict=True
         ):
             mean = np.nanmean(table, axis=1)[numbers[usual]]
-            mass = np.exp(log_mass - log_mass.max())
             of_goals.append(mean)
-            believed.append(mass @ mean / mass.sum())
+            believed.append(_mean_policy(mean, log_mass))
         for agent, mean in enumerate(of_goals):
             left = relative
             for other in range(len(believed) - 1, -1, -1):
                 if other != agent:
                     left = np.tensordot(left, believed[other], axes=(other, 0))
             self._marginals[agent] += self._weight * np.log(mean @ left)
+
+
+def _mean_policy(policies: FloatArray, log_mass: FloatArray) -> FloatArray:
+    """Return (action,) the mean of policies (row, action) by their log masses (row,)."""
+    mass = np.exp(log_mass - log_mass.max())
+    return np.asarray(mass @ policies / mass.sum())
 
 
 class Growing:

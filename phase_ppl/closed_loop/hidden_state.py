@@ -9,6 +9,10 @@ Some combinations of strengths are followed: all of two agents; of three and mor
 every agent has every strength equally often, and so has every pair of the first two or three. Each
 has a filter of its own, and its evidence is the product over the frames of how probable that filter
 found them, so that none is lost by being dropped from the beam.
+
+A body may be unseen. It goes on as physics moves it, and an agent as its policies say: then states
+are drawn by their probabilities, not the best ones taken, so that they spread as its whereabouts
+do. When it is seen again, its place counts as evidence by that spread, and corrects the states.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ import numpy as np
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
-from phase_ppl.physics.flat import to_state
+from phase_ppl.physics.flat import ANGLE, X, Y, to_state
 from phase_ppl.simulator.joint import Past
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
@@ -68,17 +72,19 @@ class NoiseEstimate:
         self._known = known
         self._items = slice(n_agents if len(start) > n_agents else 0, None)  # agents if need be
         self._last: list[FloatArray] = [start[self._items, :2]]
-        self._differences: list[FloatArray] = []
+        self._differences: list[float] = []
         self.now = UNSEEN if known is None else known
 
     def update(self, observed: FloatArray) -> None:
-        """Take in a frame, (entity, 3)."""
+        """Take in a frame, (entity, 3), NaN where unseen."""
         if self._known is not None:
             return
         self._last = [*self._last[-2:], observed[self._items, :2]]
         if len(self._last) == 3:
             before, between, now = self._last
-            self._differences.append(np.abs(now - 2 * between + before))
+            found = np.abs(now - 2 * between + before)
+            self._differences += found[~np.isnan(found)].tolist()
+        if self._differences:
             self.now = float(np.median(self._differences)) / (_MEDIAN * math.sqrt(6))
 
 
@@ -104,6 +110,8 @@ _LEAST: Final = 20.0  # log weight below the best at which a state is dropped
 
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
+
+_GOLDEN: Final = (math.sqrt(5) - 1) / 2  # its multiples lie evenly between whole numbers
 
 _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken for the same, units/s
 
@@ -221,32 +229,45 @@ class HiddenState:
         with np.errstate(divide="ignore"):
             self._log_prior = np.log(intended.ravel())
         self._noise = NoiseEstimate(tracking.noise, scene.start, n_agents)
+        # (entity, [position, angle]) frames since each was seen, and whole turns that an angle may
+        # have made meanwhile, rad
+        self._unseen = np.zeros((n_bodies, 2), np.int64)
+        self._turns = np.zeros(n_bodies)
+        self._n_drawn = 0  # frames after which states were drawn
         self.log_peak = 0.0
 
     def advance(
-        self, observed: FloatArray, share: Callable[..., Iterable[None]] = map
+        self,
+        observed: FloatArray,
+        share: Callable[..., Iterable[None]] = map,
+        policies: Sequence[FloatArray] | None = None,
     ) -> FloatArray:
         """Take in the next frame.
 
         Args:
-            observed: (entity, 3) x, y [units], angle [rad].
+            observed: (entity, 3) x, y [units], angle [rad]; NaN where unseen.
             share: as ``map``, from whichever threads; the result does not depend on it.
+            policies: (agent) (action,) probabilities of intended actions, by which agents go on
+                that are unseen; None: any action is as probable as another.
 
         Returns:
-            (action of the first agent, of the second, ...) log density of the frame after every
-            combination of intended actions.
+            (action of the first agent, of the second, ...) log density of what is seen of the
+            frame after every combination of intended actions.
         """
-        observed = np.ascontiguousarray(observed).view()
+        observed = self._continued(observed)
         observed.setflags(write=False)  # like a file's: kernels are compiled for one kind of array
         tracking, beam = self.tracking, self.beam
         scale = float(np.hypot(tracking.scale, self._noise.now))  # from the frames before
-        self.log_peak = _log_peak(
-            *(scale, tracking.angle_scale, tracking.tail, len(observed), self._n_agents)
+        spread = self._spread()
+        scatter = inverse.Scatter(
+            np.hypot(scale, spread[:, 0]),
+            np.hypot(tracking.angle_scale, spread[:, 2]),
+            tracking.tail,
         )
+        self.log_peak = _log_peak(scatter, scale, tracking.angle_scale, observed, self._n_agents)
         found = np.empty((len(beam), len(self._log_prior)))
         strengths = self.combinations[beam.combination]
         bounds = np.linspace(0, len(beam), len(self._spaces) + 1).astype(int)
-        scatter = inverse.Scatter(scale, tracking.angle_scale, tracking.tail)
 
         def try_part(part: int) -> None:
             rows = slice(bounds[part], bounds[part + 1])
@@ -260,9 +281,55 @@ class HiddenState:
         before = self._log_strengths()
         log_density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
         self._noise.update(observed)
-        gains = filter_gains(tracking.scale, self._noise.now)
-        self._go_on(found + self._log_prior, observed, gains)
+        # what was unseen is corrected the more the less was known of it
+        usual = filter_gains(tracking.scale, self._noise.now)
+        noise = np.array([scale, scale, tracking.angle_scale]) ** 2
+        gains = usual + (1.0 - usual) * spread**2 / (spread**2 + noise)
+        self._go_on(found + self._log_prior_of(observed, policies), observed, gains)
+        self._unseen = np.where(np.isnan(observed[:, [0, 2]]), self._unseen + 1, 0)
         return np.asarray(log_density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
+
+    def _continued(self, observed: FloatArray) -> FloatArray:
+        """Return a frame whose angles go on from those that were believed while they were unseen.
+
+        Whoever gives frames cannot know how many whole turns were made meanwhile.
+        """
+        again = (self._unseen[:, 1] > 0) & ~np.isnan(observed[:, 2])
+        if again.any():
+            off = observed[:, 2] - self.best().bodies[:, ANGLE]
+            self._turns[again] = 2 * np.pi * np.round(off[again] / (2 * np.pi))
+        if self._turns.any():
+            return observed - self._turns[:, None] * [0.0, 0.0, 1.0]
+        return np.ascontiguousarray(observed).view()
+
+    def _spread(self) -> FloatArray:
+        """Return (entity, 3) how sure it still is of x, y [units] and angle [rad] that were unseen.
+
+        Standard deviations over the states, of x and y together; 0 of what the last frame shows.
+        """
+        found, unseen = np.zeros((len(self._unseen), 3)), self._unseen[:, [0, 0, 1]] > 0
+        if unseen.any():
+            weight = np.exp(self.beam.within + self._log_strengths()[self.beam.combination])
+            pose = self.beam.bodies[..., [X, Y, ANGLE]]
+            off = pose - np.tensordot(weight, pose, 1)
+            variance = np.tensordot(weight, off**2, 1)
+            variance[:, :2] = variance[:, :2].mean(axis=1, keepdims=True)
+            found[unseen] = np.sqrt(variance[unseen])
+        return found
+
+    def _log_prior_of(
+        self, observed: FloatArray, policies: Sequence[FloatArray] | None
+    ) -> FloatArray:
+        """Return (joint action,) log probabilities of executed actions before the frame."""
+        unseen = np.isnan(observed[: self._n_agents]).any(axis=1).tolist()
+        if policies is None or not any(unseen):
+            return self._log_prior
+        joint = np.ones(())
+        for own, is_unseen in zip(policies, unseen, strict=True):
+            intended = own if is_unseen else np.full(N_ACTIONS, 1.0 / N_ACTIONS)
+            joint = np.multiply.outer(joint, np.bincount(self._executed, intended, N_ACTIONS))
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(joint.ravel()))
 
     def strengths(self) -> FloatArray:
         """Return (combination,) probabilities."""
@@ -304,25 +371,15 @@ class HiddenState:
         return Expected(strengths, beam.bodies[row], beam.held[row], beam.weld[row])
 
     def _go_on(self, flat: FloatArray, observed: FloatArray, gains: FloatArray) -> None:
-        """Replace the beam by the best states after the frame; ``flat`` is (B, joint action)."""
+        """Replace the beam by states after the frame; ``flat`` is (B, joint action)."""
         beam, n_combinations = self.beam, len(self.combinations)
         evidence = np.full(n_combinations, -np.inf)
         np.logaddexp.at(evidence, beam.combination, np.logaddexp.reduce(flat, axis=1))
         self._evidence += evidence
         self._evidence -= self._evidence.max()
         flat = flat - evidence[beam.combination][:, None]
-        # the best of every combination of strengths, then the most probable of all
-        highest = flat.max(axis=1)
-        order = np.lexsort((-highest, beam.combination))
-        states = order[np.searchsorted(beam.combination[order], np.arange(n_combinations))]
-        first = states * flat.shape[1] + flat[states].argmax(axis=1)
-        overall = (flat + self._log_strengths()[beam.combination][:, None]).ravel()
-        overall[first] = -np.inf
-        n = min(len(overall), _TRIED * self.tracking.states)
-        rest = np.argpartition(-overall, n - 1)[:n]
-        rest = rest[np.argsort(-overall[rest], kind="stable")]
-        rest = rest[overall[rest] > -_LEAST]
-        chosen = np.concatenate([first, rest])
+        drawn = np.isnan(observed[: self._n_agents, 0]).any()
+        chosen, mass = self._drawn(flat) if drawn else self._best(flat)
         parents, joint = np.divmod(chosen, flat.shape[1])
         n = len(chosen)
         bodies = np.empty((n, *beam.bodies.shape[1:]))
@@ -332,19 +389,59 @@ class HiddenState:
         inverse.follow(
             beam.bodies, beam.held, beam.weld, self.combinations[beam.combination],
             parents.astype(np.int64), done.astype(np.int64), observed, gains,
-            *self._spaces[0], bodies, held, weld,
+            self._unseen[:, 0].copy(), *self._spaces[0], bodies, held, weld,
         )  # fmt: skip
-        combination = beam.combination[parents]
-        rows, mass = self._merged(bodies, held, combination, flat.ravel()[chosen])
+        combination, rows = beam.combination[parents], np.arange(n)
+        if not drawn:
+            rows, mass = self._merged(bodies, held, combination, mass)
         combination = combination[rows]
         total = np.full(n_combinations, -np.inf)
         np.logaddexp.at(total, combination, mass)
         log_within = mass - total[combination]
         self.beam = Beam(bodies[rows], held[rows], weld[rows], combination, log_within)
 
+    def _best(self, flat: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the most probable places in (B, joint action), and their log masses."""
+        beam = self.beam
+        # the best of every combination of strengths, then the most probable of all
+        highest = flat.max(axis=1)
+        order = np.lexsort((-highest, beam.combination))
+        every = np.arange(len(self.combinations))
+        states = order[np.searchsorted(beam.combination[order], every)]
+        first = states * flat.shape[1] + flat[states].argmax(axis=1)
+        overall = (flat + self._log_strengths()[beam.combination][:, None]).ravel()
+        overall[first] = -np.inf
+        n = min(len(overall), _TRIED * self.tracking.states)
+        rest = np.argpartition(-overall, n - 1)[:n]
+        rest = rest[np.argsort(-overall[rest], kind="stable")]
+        rest = rest[overall[rest] > -_LEAST]
+        chosen = np.concatenate([first, rest])
+        return chosen, flat.ravel()[chosen]
+
+    def _drawn(self, flat: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return places in (B, joint action) drawn by their masses, and their log shares.
+
+        Of every combination of strengths there is one, and more by how probable it is. The draws
+        are systematic: evenly spread over the masses, from a beginning that is another for each
+        combination and frame.
+        """
+        of_combination, chosen, shares = self.beam.combination, [], []
+        rooms = 1 + (self.tracking.states * self.strengths()).astype(int)
+        for combination, room in enumerate(rooms):
+            rows = np.flatnonzero(of_combination == combination)
+            mass = np.cumsum(np.exp(flat[rows]))
+            begin = (self._n_drawn * len(rooms) + combination) * _GOLDEN % 1.0
+            at = np.searchsorted(mass, mass[-1] * (begin + np.arange(room)) / room, "right")
+            kept, times = np.unique(np.minimum(at, len(mass) - 1), return_counts=True)
+            row, joint = np.divmod(kept, flat.shape[1])
+            chosen.append(rows[row] * flat.shape[1] + joint)
+            shares.append(np.log(times / room))
+        self._n_drawn += 1
+        return np.concatenate(chosen), np.concatenate(shares)
+
     def _merged(
         self, bodies: FloatArray, held: IntArray, combination: IntArray, weight: FloatArray
-    ) -> tuple[list[int], FloatArray]:
+    ) -> tuple[IntArray, FloatArray]:
         """Return which states go on, and their log weights; the first stands for all alike."""
         places: dict[tuple[float, ...], int] = {}
         alike: dict[tuple[float, ...], int] = {}
@@ -364,7 +461,7 @@ class HiddenState:
                 places[key] = len(rows)
                 rows.append(row)
                 mass.append(float(weight[row]))
-        return rows, np.array(mass)
+        return np.array(rows), np.array(mass)
 
 
 def balanced(levels: Sequence[float], n_agents: int) -> FloatArray:
@@ -379,15 +476,26 @@ def balanced(levels: Sequence[float], n_agents: int) -> FloatArray:
     return np.asarray(np.array(levels)[np.column_stack([free, *more]) % n])
 
 
-def _log_peak(scale: float, angle_scale: float, tail: float, n_bodies: int, n_agents: int) -> float:
+def _log_peak(
+    scatter: inverse.Scatter,
+    scale: float,
+    angle_scale: float,
+    observed: FloatArray,
+    n_agents: int,
+) -> float:
     """Return the log density of a frame that is exactly where it was expected.
 
-    The density is that of :func:`phase_ppl.physics.inverse.try_all`.
+    The density is that of :func:`phase_ppl.physics.inverse.try_all`; ``scale`` and ``angle_scale``
+    are its scales of what was seen before.
     """
+    tail, seen = scatter.tail, ~np.isnan(observed)
     angle = math.lgamma(0.5 * (tail + 1)) - math.lgamma(0.5 * tail)
     angle -= 0.5 * math.log(tail * math.pi) + math.log(angle_scale)
     position = -math.log(2 * math.pi) - 2 * math.log(scale)
-    return n_bodies * position + n_agents * angle
+    turned = seen[:n_agents, 2]
+    widened = 2 * np.log(scatter.scale / scale)[seen[:, 0]].sum()
+    widened += np.log(scatter.angle_scale / angle_scale)[:n_agents][turned].sum()
+    return float(seen[:, 0].sum() * position + turned.sum() * angle - widened)
 
 
 def _quantile(masses: FloatArray, share: float) -> int:
@@ -402,7 +510,10 @@ def _stride(n: int) -> int:
 
 
 def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | None = None) -> Past:
-    """Return the most probable states and actions behind a trajectory, (time, entity, 3)."""
+    """Return the most probable states and actions behind a trajectory, (time, entity, 3).
+
+    Agents that are unseen may do anything.
+    """
     hidden = HiddenState(scene, tracking or Tracking())
     states, actions = [State.at_start(scene)], []
     for frame in trajectory[1:]:

@@ -60,14 +60,16 @@ class NextFrame(NamedTuple):
         seen.setflags(write=False)
         frame.setflags(write=False)
         chosen = self.hypotheses[first:last]
+        at = frame[:, :2].ravel()
+        shown = ~np.isnan(at)
         if not self.samples:
             given = self.simulator, self.scene
             return np.array([[log_prob_next(*given, h, seen, frame) for h in chosen]]), np.nan
         found, far = [], []
         for start in range(0, len(chosen), _TOGETHER):
             drawn = [self._drawn(h, seen, seed) for h in chosen[start : start + _TOGETHER]]
-            at = frame[:, :2].ravel()
-            densities, nearest = log_density(np.array(drawn), at, self.scale, self.noise)
+            axes = np.compress(shown, np.array(drawn), axis=2)
+            densities, nearest = log_density(axes, at[shown], self.scale, self.noise)
             found.append(densities)
             far.append(nearest.min())
         return np.concatenate(found, axis=1), float(min(far))
@@ -144,13 +146,16 @@ class SimulatorFilter:
         return self._reading(np.zeros((1 + self.n_parts, len(self._so_far))), 0.0, 0)
 
     def read(self, frame: FloatArray) -> OwnReading:
-        """Take in the next frame, (entity, 3) x, y [units], angle [rad].
+        """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen.
 
         Raises:
             SimulationError: the simulator failed, or the frames so far are impossible under all
                 hypotheses.
         """
         seen, n, clock = np.array(self._frames), len(self._so_far), time.perf_counter()
+        if np.isnan(frame[:, :2]).all():  # which tells nothing
+            return self._reading(np.zeros((1 + self.n_parts, n)), 0.0, 0)
+        seen[0] = np.where(np.isnan(seen[0]), self._next.scene.start, seen[0])
         given = seen, frame.copy(), (self._seed, _STREAM, len(seen))
         if self._pool is None:
             found, far = self._next.read(*given, 0, n)

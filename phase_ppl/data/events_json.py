@@ -25,6 +25,8 @@ One event::
       "predictions": {...}
     }
 
+A row is null throughout where the body was not seen, and has null as angle where that was not.
+
 Lengths are in units of the world, y up. Angles are in radians (counter-clockwise, 0 looks up, not
 wrapped). A row is [x, y, angle]; frame 0 is the start, frame k the mean over planner step k. Walls
 are inner walls [[x, y], [x, y]]; strengths are in newtons. ``scene`` requires only ``radius``: the
@@ -113,6 +115,7 @@ _LINE_CHARACTERS = 100
 
 _Point = tuple[float, float]
 _Pose = tuple[float, float, float]
+_Seen = tuple[float | None, float | None, float | None]
 _Document = dict[str, Any]
 
 
@@ -213,11 +216,11 @@ def _by_name(record: Mapping[str, Any], names: Sequence[str], form: Any, where: 
 
 
 def _observation(record: Mapping[str, Any], world: World, where: str) -> Observation:
-    tracks = _by_name(record, world.entities, list[_Pose], where)
+    tracks = _by_name(record, world.entities, list[_Seen], where)
     if len(set(map(len, tracks))) > 1:
         listed = (f"{len(rows)} {name}" for rows, name in zip(tracks, world.entities, strict=True))
         raise InvalidEventError(f"{where} differ in length: {', '.join(listed)}")
-    return Observation(np.array(tracks).reshape(len(tracks), -1, 3).swapaxes(0, 1))
+    return Observation(np.array(tracks, float).reshape(len(tracks), -1, 3).swapaxes(0, 1))
 
 
 def _truth(record: _Document, world: World) -> Truth | Hypothesis:
@@ -245,13 +248,15 @@ def event_record(event: Event) -> dict[str, Any]:
     kept = world_in_files(world)
     arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in ARRAYS}
     arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
-    tracks = np.moveaxis(event.observation.trajectory, 1, 0).tolist()
+    tracks: Any = np.moveaxis(event.observation.trajectory, 1, 0)
+    if event.observation.has_gaps:
+        tracks = np.where(np.isnan(tracks), np.array(None), tracks)
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id(event.id),
         **({} if kept is None else {"world": kept}),
         "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
-        "trajectories": dict(zip(world.entities, tracks, strict=True)),
+        "trajectories": dict(zip(world.entities, tracks.tolist(), strict=True)),
     }
     if truth is not None:
         record["truth"] = truth.to_dict()

@@ -18,8 +18,9 @@ from phase_ppl.physics.constants import (
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.geometry import GRAB_POINTS
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, NOTHING
-from phase_ppl.world.scene import Turning
+from phase_ppl.world.scene import Scene, Turning
 
 Flags = NDArray[np.bool_]
 SLOW: Final = 0.5  # units per simulated second below which a body is at rest
@@ -31,7 +32,7 @@ for 5 to 9 frames."""
 _MOVING: Final = 0.02  # units per frame that count as motion when its end is sought
 
 _ENOUGH: Final = 40  # frames in which an agent must move before its changes of speed are judged
-_SLOW_AT: Final = 0.9  # quantile of changes of speed that leaves out only the rarest
+_PACE_AT: Final = 0.9  # quantile of changes of speed that leaves out only the rarest
 
 HELD_WITHIN: Final = 0.05
 """Largest distance of a held item from its place at a grab point, units. Frames are means over a
@@ -47,22 +48,28 @@ def speeds(trajectory: FloatArray) -> FloatArray:
     return np.asarray(steps * FRAMES_PER_SECOND)
 
 
-def is_slow(trajectory: FloatArray, radius: FloatArray, n_agents: int) -> bool:
-    """Whether agents change their speed less than the floor's friction alone would make them.
+def odd_pace(trajectory: FloatArray, scene: Scene) -> str:
+    """Return "slow" or "fast" if agents move as no agents of a world can, else "".
 
-    This happens with more frames a second than twelve. In recordings with twelve the quantile is at
-    least 1.8 times the effect of friction. In the same with 60 it is at most 0.6, with 30 mostly
-    below 1.
+    Slow ones change their speed less than the floor's friction alone would make them, as happens
+    with more frames a second than twelve; fast ones more than the strongest push against it could.
+    What counts is the change that a tenth of the frames in which they move exceed. In recordings
+    with twelve frames it takes 1.9 to 6.6 times the friction, and the limits are 1 and 7; with 60
+    at most 0.4, with 30 mostly below 1, with 6 mostly above 7. There must be enough such frames.
     """
+    n_agents = len(scene.world.agents)
     change = np.diff(trajectory[:, :n_agents, :2], axis=0)
     speed = np.linalg.norm(change, axis=2)
-    moves = np.maximum(speed[1:], speed[:-1]) > _MOVING
-    if moves.sum() < _ENOUGH:
-        return False
-    masses = [mass(agent, float(radius[agent]), n_agents) for agent in range(n_agents)]
-    by_friction = FLOOR_FRICTION * STEP**2 / np.array(masses)  # units per frame, each frame
-    found = np.linalg.norm(np.diff(change, axis=0), axis=2) / by_friction
-    return bool(np.quantile(found[moves], _SLOW_AT) < 1.0)
+    moves = np.maximum(speed[1:], speed[:-1]) > _MOVING  # not where it was not seen
+    if moves.sum() < _ENOUGH or scene.resets_velocity:
+        return ""
+    masses = [mass(agent, float(scene.radius[agent]), n_agents) for agent in range(n_agents)]
+    per_newton = STEP**2 / np.array(masses)  # units per frame, each frame
+    forces = np.linalg.norm(np.diff(change, axis=0), axis=2) / per_newton
+    force = np.quantile(forces[moves], _PACE_AT)
+    if force < FLOOR_FRICTION:
+        return "slow"
+    return "fast" if force > max(STRENGTH_RANGE) + FLOOR_FRICTION else ""
 
 
 def last_motion(trajectory: FloatArray) -> int:

@@ -194,7 +194,7 @@ def _strengths(event: Event) -> tuple[float | None, ...]:
 
 def _moves(event: Event) -> dict[str, FloatArray]:
     """Return the numbers of an event from which :data:`FIGURES` are computed."""
-    track, n = event.observation.trajectory, len(event.scene.world.agents)
+    track, n = event.observation.whole("a summary").trajectory, len(event.scene.world.agents)
     speed = speeds(track)
     agents = speed[:, :n].ravel()
     numbers: dict[str, Any] = {

@@ -10,7 +10,8 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.data.motion import is_slow
+from phase_ppl.analysis.verdict import ODD_PACE
+from phase_ppl.data.motion import odd_pace
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample
@@ -332,14 +333,8 @@ def resume(
 
 def _check_rate(event: Event, model: Model, level: int = 4) -> None:
     """Warn of tracks that the joint simulator's agents can make at another frame rate only."""
-    scene, track = event.scene, event.observation.trajectory
-    if model.simulator is None and is_slow(track, scene.radius, len(scene.world.agents)):
-        warnings.warn(
-            f"event {shown(event.id)}: agents change their speed less than the floor's friction "
-            "alone would make them; a frame is a twelfth of a second, and tracks with another "
-            "number of frames a second are read by phase_ppl.Observation.at_rate(trajectory, fps)",
-            stacklevel=level,
-        )
+    if model.simulator is None and (pace := odd_pace(event.observation.trajectory, event.scene)):
+        warnings.warn(f"event {shown(event.id)}: {ODD_PACE[pace]}", stacklevel=level)
 
 
 def _complete_model(

@@ -22,12 +22,15 @@ from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
-from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on
+from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
 from phase_ppl.world.arrays import FloatArray, finite_array
+from phase_ppl.world.clock import Clock
 from phase_ppl.world.errors import (
+    InvalidEventError,
     InvalidSettingError,
     instance_of,
     number_of_threads,
+    number_or_nan,
     shown,
     whole_number,
 )
@@ -76,7 +79,7 @@ class Watch:
         threads: int | None = None,
         event_id: str = "",
     ) -> None:
-        self._clock = time.perf_counter()
+        self._begun = time.perf_counter()
         model = Model() if model is None else model
         instance_of("model", model, Model, "a phase_ppl.Model")
         self.model = model.for_reading()
@@ -99,6 +102,7 @@ class Watch:
         self._counts: Counter[str] = Counter()
         self._table: Table | None = None
         self._torn = False  # a frame was begun and not finished
+        self._clock: Clock | None = None  # of frames with time stamps
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
         self._levels = likelihood.tracking.strengths
@@ -151,33 +155,54 @@ class Watch:
         """End the threads or processes; what was read stays."""
         self._filter.close()
 
-    def take(self, frame: ArrayLike) -> None:
+    def take(self, frame: ArrayLike, at: float | None = None) -> None:
         """Take in the next frame without asking for the posterior.
 
         Args:
             frame: (entity, [x, y, angle]), units and rad; the first one shows the start, from
-                which nothing is learnt.
+                which nothing is learnt. NaN says that a body was not seen: all its three numbers,
+                or its angle alone. It goes on as the model expects, and nothing is learnt of it;
+                a frame that is missing is NaN throughout.
+            at: its time stamp, seconds of simulated time, where frames come at other times than
+                every twelfth of a second. They are put on that grid as by
+                :meth:`phase_ppl.Observation.at_times`: a call takes in as many frames as are
+                complete then, perhaps none. All frames have time stamps or none has.
 
         Raises:
-            InvalidEventError: another shape, a number that is not finite, or a body outside of
-                the arena. What was read before stays, and the next frame can follow.
-            InvalidSettingError: an earlier frame was interrupted while it was read. What was
-                read before that stays.
+            InvalidEventError: another shape, an infinite number, a body outside of the arena, one
+                that was not seen where the simulator has a density of whole frames, or a time
+                stamp that is not later than the last. What was read before stays, and the next
+                frame can follow.
+            InvalidSettingError: an earlier frame was interrupted while it was read, or only some
+                frames have time stamps. What was read before that stays.
             SimulationError: the simulator failed, or nothing that it deems possible is left.
         """
         name = f"frame {len(self._frames)}"
-        pose = finite_array(name, frame, (len(self._scene.world.entities), 3))
+        pose = finite_array(name, frame, (len(self._scene.world.entities), 3), unseen=True)
         check_inside(pose[None], self._scene, name)
+        if self._own and has_density(self.model.simulator) and np.isnan(pose).any():
+            raise InvalidEventError(
+                f"{name} does not show all bodies, and log_prob_next is a density of whole frames: "
+                f"a simulator with {NEXT_FRAMES} instead can be read with gaps"
+            )
         if self._torn:
             raise InvalidSettingError(
                 f"reading {name} was interrupted, which left agents half way: watch it anew"
             )
-        if self._frames:
-            self._torn = True
-            self._keep(self._filter.read(pose)._asdict())
-        self._columns["trajectory"].add(pose)
-        self._frames.append(pose)
-        self._torn = False
+        if not self._frames and at is not None:
+            self._clock = Clock()
+        if (self._clock is None) != (at is None):
+            raise InvalidSettingError(
+                f"at={shown(at)} for {name}, expected time stamps of all frames or of none"
+            )
+        shows = [pose] if self._clock is None else self._clock.put(number_or_nan(at), pose)
+        for one in shows:
+            if self._frames:
+                self._torn = True
+                self._keep(self._filter.read(one)._asdict())
+            self._columns["trajectory"].add(one)
+            self._frames.append(one)
+            self._torn = False
 
     def _keep(self, columns: Mapping[str, Any]) -> None:
         """Keep what one frame says; only :attr:`_frames` says how many count."""
@@ -187,9 +212,9 @@ class Watch:
             elif value is not None:
                 self._columns[name].add(value)
 
-    def update(self, frame: ArrayLike) -> StepwisePosterior:
+    def update(self, frame: ArrayLike, at: float | None = None) -> StepwisePosterior:
         """Take in the next frame, as :meth:`take`, and return the posterior now."""
-        self.take(frame)
+        self.take(frame, at)
         return self.posterior()
 
     def posterior(self) -> StepwisePosterior:
@@ -221,7 +246,7 @@ class Watch:
             "searches": self._counts["searches"],
             **({"calls": self._counts["calls"]} if self._own else {}),
             "frames": n,
-            "seconds": time.perf_counter() - self._clock,
+            "seconds": time.perf_counter() - self._begun,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }

@@ -107,16 +107,18 @@ def bottom_up_tables(
     starts = np.arange(window_count(n_frames, settings.window))
     first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
     windows = np.column_stack([first, last])
-    estimates = estimated_strengths(settings.strength, scene, observation, windows)
+    # proposals need not know what was not seen: a straight line is good enough for them
+    tracks = observation.filled()
+    estimates = estimated_strengths(settings.strength, scene, tracks, windows)
     if settings.proposal != "paper":
         if settings.proposal == "closed_loop":
             goal, alpha = closed_loop_logits(scene, observation, windows, progress, threads)
         else:
-            goal, alpha = joint_logits(_scores(scene, observation, first, last))
+            goal, alpha = joint_logits(_scores(scene, tracks, first, last))
         # strength is the same in all windows: the whole observation estimates it best
         strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
         return BottomUpTables(goal, strength_of_all, sd_of_all, alpha)
-    distance = goal_distances(scene, observation)
+    distance = goal_distances(scene, tracks)
     unit = _diagonal(scene) if settings.unit == "arena" else 1.0
     closeness = settings.gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if settings.sign == "printed" else -closeness

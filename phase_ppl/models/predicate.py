@@ -112,7 +112,7 @@ def symbolic_trajectory(
 ) -> list[Moment]:
     """Return the symbolic state of every frame."""
     given = settings or PredicateSettings()
-    trajectory = observation.trajectory
+    trajectory = observation.whole("predicate-based inverse planning").trajectory
     found = (
         scene.rooms.room_of(trajectory[..., :2]),
         items_held(trajectory, scene.radius, given.attach, len(scene.world.agents)),

@@ -39,8 +39,8 @@ _ALONE = -1  # group of an item that no agent can meet
 class Scatter(NamedTuple):
     """Scatter of observed frames about predicted ones: Student's t, independent for each body."""
 
-    scale: float  # of positions, units
-    angle_scale: float  # of agents' angles, rad
+    scale: FloatArray  # (entity,) of positions, units
+    angle_scale: FloatArray  # (entity,) of agents' angles, rad
     tail: float  # degrees of freedom
 
 
@@ -111,13 +111,18 @@ def attempt(
 def _entity_log_density(
     frame: FloatArray, observed: FloatArray, entity: int, is_agent: bool, scatter: Scatter
 ) -> float:
-    """Return the log density of one entity's observed pose around the predicted one."""
-    scale, angle_scale, tail = scatter.scale, scatter.angle_scale, scatter.tail
-    dx = (observed[entity, 0] - frame[entity, 0]) / scale
-    dy = (observed[entity, 1] - frame[entity, 1]) / scale
-    total = -math.log(2.0 * math.pi) - 2.0 * math.log(scale)
-    total -= 0.5 * (tail + 2.0) * math.log1p((dx * dx + dy * dy) / tail)
-    if is_agent:
+    """Return the log density of one entity's observed pose around the predicted one.
+
+    That of what was seen of it: a position or an angle of NaN counts for nothing.
+    """
+    scale, angle_scale, tail = scatter.scale[entity], scatter.angle_scale[entity], scatter.tail
+    total = 0.0
+    if not math.isnan(observed[entity, 0]):
+        dx = (observed[entity, 0] - frame[entity, 0]) / scale
+        dy = (observed[entity, 1] - frame[entity, 1]) / scale
+        total = -math.log(2.0 * math.pi) - 2.0 * math.log(scale)
+        total -= 0.5 * (tail + 2.0) * math.log1p((dx * dx + dy * dy) / tail)
+    if is_agent and not math.isnan(observed[entity, 2]):
         turn = (observed[entity, 2] - frame[entity, 2]) / angle_scale
         total += (
             math.lgamma(0.5 * (tail + 1.0))
@@ -312,7 +317,8 @@ def try_all(
     Args:
         bodies, held, weld: (B, ...) states.
         strengths: (B, agent) newtons, which replace those of ``params``.
-        observed: (entity, 3) x, y [units], angle [rad].
+        observed: (entity, 3) x, y [units], angle [rad], NaN where unseen: the density is over the
+            rest.
         scatter: of observed frames about predicted ones.
         params, scratch, trial: work space; the forces of ``params`` are overwritten.
         found: (B, N_ACTIONS ** agents) output.
@@ -366,6 +372,7 @@ def follow(
     actions: IntArray,
     observed: FloatArray,
     gains: FloatArray,
+    unseen: IntArray,
     params: Params,
     scratch: Scratch,
     trial: Trial,
@@ -378,12 +385,14 @@ def follow(
     Args:
         bodies, held, weld, strengths: (B, ...) as in :func:`try_all`.
         parents: (N,) indices of states; actions: (N, agent) actions taken there.
-        observed: (entity, 3).
-        gains: (3,) corrections of position, velocity (per ``FRAME_LAG`` substeps) and angle, as
-            shares of the difference between the observed and the predicted frame.
+        observed: (entity, 3), NaN where unseen, which corrects nothing.
+        gains: (entity, 3) corrections of position, velocity and angle, as shares of the difference
+            between the observed and the predicted frame; of velocity per ``FRAME_LAG`` substeps,
+            and those of the frames in which it was unseen.
+        unseen: (entity,) number of frames just before in which its position was unseen.
         next_bodies, next_held, next_weld: (N, ...) output.
     """
-    lag, n_agents = FRAME_LAG * params.dt, held.shape[1]
+    n_agents = held.shape[1]
     for n in range(parents.shape[0]):
         b = parents[n]
         for agent in range(n_agents):
@@ -391,20 +400,22 @@ def follow(
             trial.actions[agent] = actions[n, agent]
         attempt(bodies[b], held[b], weld[b], params, scratch, trial)
         for body in range(bodies.shape[1]):
-            dx = observed[body, 0] - trial.frame[body, 0]
-            dy = observed[body, 1] - trial.frame[body, 1]
             for column in range(9):
                 next_bodies[n, body, column] = trial.bodies[body, column]
-            next_bodies[n, body, X] += gains[0] * dx
-            next_bodies[n, body, Y] += gains[0] * dy
-            moving = trial.bodies[body, VX] != 0.0 or trial.bodies[body, VY] != 0.0
-            if moving:
-                next_bodies[n, body, VX] += gains[1] * dx / lag
-                next_bodies[n, body, VY] += gains[1] * dy / lag
-            if body < n_agents:
+            if not math.isnan(observed[body, 0]):
+                dx = observed[body, 0] - trial.frame[body, 0]
+                dy = observed[body, 1] - trial.frame[body, 1]
+                lag = (FRAME_LAG + params.substeps * unseen[body]) * params.dt
+                next_bodies[n, body, X] += gains[body, 0] * dx
+                next_bodies[n, body, Y] += gains[body, 0] * dy
+                moving = trial.bodies[body, VX] != 0.0 or trial.bodies[body, VY] != 0.0
+                if moving:
+                    next_bodies[n, body, VX] += gains[body, 1] * dx / lag
+                    next_bodies[n, body, VY] += gains[body, 1] * dy / lag
+            if body < n_agents and not math.isnan(observed[body, 2]):
                 turn = observed[body, 2] - trial.frame[body, 2]
                 # about the body origin, which the observation shows
-                next_bodies[n, body, ANGLE] += gains[2] * turn
+                next_bodies[n, body, ANGLE] += gains[body, 2] * turn
                 next_bodies[n, body, SPIN] = 0.0
         for agent in range(n_agents):
             next_held[n, agent] = trial.held[agent]

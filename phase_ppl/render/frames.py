@@ -189,13 +189,16 @@ class Painter:
         """Return the frame with the entities at ``poses``.
 
         Args:
-            poses: (entity, coord) with coord = x, y [units], angle [rad].
+            poses: (entity, coord) with coord = x, y [units], angle [rad]. A body that was not seen,
+                NaN, is not drawn; an agent of which the angle was not seen is drawn as a disc.
             trail: (time, entity, coord) of earlier poses, drawn as thin lines.
             faint: (entity, coord) of other poses, drawn faintly below all else.
         """
-        pose = finite_array("poses", poses, (len(self._colours), 3))
+        pose = finite_array("poses", poses, (len(self._colours), 3), unseen=True)
         picture = self.floor.copy()
         for agent in self._looking:
+            if np.isnan(pose[agent]).any():
+                continue
             area = field_of_view(self.scene, pose, agent)
             colour = self._colours[agent]
             self._tint(picture, SIGHT_COLOURS.get(colour, trail_colour(colour)), self.pixel(area))
@@ -211,7 +214,8 @@ class Painter:
             for entity in self._order:
                 points = self.pixel(trail[:, entity, :2])
                 colour = trail_colour(self._colours[entity])
-                _paste(picture, colour, points, line, self._fine, margin=TRAIL_PIXELS)
+                for part in _seen_parts(points):
+                    _paste(picture, colour, part, line, self._fine, margin=TRAIL_PIXELS)
         for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
         picture.paste(self.wall_colour, mask=self.walls)
@@ -268,8 +272,10 @@ class Painter:
         _paste(picture, colour, corners, paint, _SIGHT_FINE, margin=1, within=arena)
 
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
+        if np.isnan(pose[0]):
+            return
         radius, colour = float(self.scene.radius[entity]), self._colours[entity]
-        if not is_agent(entity, len(self.scene.world.agents)):
+        if not is_agent(entity, len(self.scene.world.agents)) or np.isnan(pose[2]):
             self._disc(picture, colour, self.pixel(pose[:2]), radius)
             return
         turn = radius * rotation(pose[2]).T
@@ -294,9 +300,16 @@ def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> 
         fields_of_view: whether to show what each agent can see.
 
     Raises:
-        InvalidEventError: the poses have the wrong shape, or are not all finite.
+        InvalidEventError: the poses have the wrong shape, or are infinite.
     """
     return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
+
+
+def _seen_parts(points: FloatArray) -> list[FloatArray]:
+    """Return the stretches of two points or more, (n, 2), between points that are NaN."""
+    unseen = np.flatnonzero(np.isnan(points[:, 0]))
+    parts = np.split(points, np.unique([unseen, unseen + 1]))
+    return [part for part in parts if len(part) > 1 and not np.isnan(part).any()]
 
 
 def _paste(
@@ -373,15 +386,20 @@ def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, Fl
 def between_frames(trajectory: FloatArray, frames_per_step: int) -> FloatArray:
     """Return the poses of every drawn frame, on straight lines between the trajectory's frames.
 
-    Angles turn the shorter way. The result has (T - 1) * frames_per_step + 1 frames.
+    Angles turn the shorter way. The result has (T - 1) * frames_per_step + 1 frames; NaN beside
+    frames in which a body is.
     """
     smooth = np.array(trajectory)
-    smooth[..., 2] = np.unwrap(smooth[..., 2], axis=0)
+    unseen = np.isnan(smooth[..., 2])
+    last = np.maximum.accumulate(np.where(unseen, 0, np.arange(len(smooth))[:, None]), axis=0)
+    angles = np.nan_to_num(np.take_along_axis(smooth[..., 2], last, axis=0))
+    smooth[..., 2] = np.where(unseen, np.nan, np.unwrap(angles, axis=0))
     moments = np.arange((len(smooth) - 1) * frames_per_step + 1) / frames_per_step
     before = np.minimum(moments.astype(int), len(smooth) - 1)
     after = np.minimum(before + 1, len(smooth) - 1)
     weight = (moments - before)[:, None, None]
-    return np.asarray((1 - weight) * smooth[before] + weight * smooth[after])
+    between = (1 - weight) * smooth[before] + weight * smooth[after]
+    return np.asarray(np.where(weight == 0, smooth[before], between))
 
 
 # --- stills ---------------------------------------------------------------------------------------

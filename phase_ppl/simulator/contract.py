@@ -55,9 +55,11 @@ class Simulator(Protocol):
     first exists, the second is not called:
 
     * ``log_prob_next(scene, hypothesis, seen, frame) -> float``: log density of the next frame,
-      (entity, 3); -inf if it is impossible.
+      (entity, 3); -inf if it is impossible. It is of whole frames: where a body was not seen,
+      events are refused.
     * ``next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)``: ``n`` independent next
-      frames. ``rng`` starts the same under all hypotheses.
+      frames. ``rng`` starts the same under all hypotheses. Where a body was not seen, ``seen`` is
+      NaN, and its positions in the next frames do not count.
     """
 
     def __call__(
@@ -95,7 +97,8 @@ class SimulationResult:
     seed: int  # as requested
     # (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated
     trajectory: FloatArray
-    # (time,) distance ||s - s^|| over the x, y of all entities, units; inf where not simulated
+    # (time,) distance ||s - s^|| over the x, y of all entities that were seen, units; inf where
+    # not simulated
     errors: FloatArray
     frames_simulated: int  # frames taken from the simulator
     completed: bool  # all frames were simulated
@@ -140,7 +143,7 @@ def simulate_one(
     Any error of the simulator gives a failed result, which keeps the frames before.
 
     Args:
-        observed_positions: (time, entity, 2) observed x, y, units.
+        observed_positions: (time, entity, 2) observed x, y, units; NaN where unseen.
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
             zero nothing is simulated. Results under it are the same as without a ceiling.
         cancelled: called after each frame; True ends the simulation.
@@ -323,7 +326,8 @@ def next_frames(
         if frames.shape != expected:
             raise SimulationError(f"it returned shape {frames.shape}, expected {expected}")
         if frames.dtype.kind not in "biuf" or not (np.abs(frames) < _FINITE).all():
-            raise SimulationError("it returned a value that is not finite")
+            unseen = "; seen is NaN where a body was not seen" if np.isnan(seen).any() else ""
+            raise SimulationError(f"it returned a value that is not finite{unseen}")
         return frames.astype(np.float64, copy=False)
 
 
@@ -349,7 +353,9 @@ def _follow(
 ) -> SimulationResult:
     """Compare frame by frame; close the simulation once its result is decided."""
     n_frames, shape = len(observed_positions), (observed_positions.shape[1], 3)
-    observed = observed_positions.reshape(n_frames, -1).tolist()
+    flat = observed_positions.reshape(n_frames, -1)
+    seen = ~np.isnan(flat)  # only what was seen is compared
+    observed = [row[shown].tolist() for row, shown in zip(flat, seen, strict=True)]
     trajectory = np.full((n_frames, *shape), np.nan)
     errors = np.full(n_frames, np.inf)
     total, done = 0.0, 0
@@ -359,7 +365,7 @@ def _follow(
         with contextlib.closing(_checked(start, n_frames, shape)) as incoming:
             while done < n_frames and total <= error_ceiling:
                 frame = next(incoming)
-                error = math.dist(frame[:, :2].ravel().tolist(), observed[done])
+                error = math.dist(frame[:, :2].ravel()[seen[done]].tolist(), observed[done])
                 trajectory[done], errors[done] = frame, error
                 total += error
                 done += 1

@@ -34,8 +34,14 @@ def finite_array(
     value: object,
     shape: tuple[int | None, ...],
     error: type[Exception] = InvalidEventError,
+    *,
+    unseen: bool = False,
 ) -> FloatArray:
-    """Return ``value`` as a read-only float array of ``shape`` (None: any length)."""
+    """Return ``value`` as a read-only float array of ``shape`` (None: any length).
+
+    With ``unseen`` the last axis is x, y, angle, of which NaN says that it was not seen: all three,
+    or the angle alone.
+    """
     if np.ma.is_masked(value):
         raise error(f"{name} is masked in places, expected numbers everywhere")
     try:
@@ -55,8 +61,20 @@ def finite_array(
     if not fits:
         wanted = tuple("n" if n is None else n for n in shape)
         raise error(f"{name} has shape {array.shape}, expected {wanted}")
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+    odd = ~np.isfinite(array)
+    if unseen and odd.any():
+        nan = np.isnan(array)
+        x, y, angle = np.moveaxis(nan, -1, 0)
+        in_part = (x != y) | (x & ~angle)
+        if in_part.any():
+            where = tuple(int(i) for i in np.argwhere(in_part)[0])
+            raise error(
+                f"{name}{list(where)} is {array[where].tolist()}, expected NaN for all three of a "
+                "body that was not seen, or for its angle alone"
+            )
+        odd &= ~nan
+    if odd.any():
+        where = tuple(int(i) for i in np.argwhere(odd)[0])
         raise error(f"{name}{list(where)} is {array[where]}, expected a finite number")
     array.setflags(write=False)
     return array

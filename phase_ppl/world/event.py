@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray, finite_array
+from phase_ppl.world.clock import FRAMES_PER_SECOND as FRAMES_PER_SECOND
+from phase_ppl.world.clock import GAP, Clock
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -61,13 +62,10 @@ class State:
 
 # --- what an observer sees: the entities' trajectories, and nothing else --------------------------
 
-FRAMES_PER_SECOND: Final = 12.0  # frames per second of simulated time
-
 SHOWN_SECONDS_PER_FRAME: Final = 0.25
 """Playback time of one frame: three times slower than simulated time."""
 
 MIN_FRAMES: Final = 2
-_PARTS: Final = 5  # of a planner step, over which a frame is the mean
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,20 +75,25 @@ class Observation:
     Attributes:
         trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped].
             Frame 0 is the start. Frame k is the mean over the five substeps of planner step k,
-            which takes a twelfth of a second. :meth:`at_rate` reads other frame rates.
+            which takes a twelfth of a second. :meth:`at_rate` and :meth:`at_times` read other
+            frames. NaN says that a body was not seen in a frame: all its three numbers, or its
+            angle alone.
+        said: what was done to tracks to make these, in words; "": nothing.
 
     Raises:
-        InvalidEventError: fewer than 2 frames, a wrong shape, or a value that is not finite.
+        InvalidEventError: fewer than 2 frames, a wrong shape, an infinite value, or a body of which
+            one coordinate is NaN.
     """
 
     trajectory: NDArray[np.float64]
+    said: str = ""
 
     if TYPE_CHECKING:  # what it can be made of
 
-        def __init__(self, trajectory: ArrayLike) -> None: ...
+        def __init__(self, trajectory: ArrayLike, said: str = "") -> None: ...
 
     def __post_init__(self) -> None:
-        trajectory = finite_array("trajectory", self.trajectory, (None, None, 3))
+        trajectory = finite_array("trajectory", self.trajectory, (None, None, 3), unseen=True)
         if len(trajectory) < MIN_FRAMES:
             raise InvalidEventError(
                 f"trajectory has {len(trajectory)} frame(s), expected at least {MIN_FRAMES}"
@@ -113,16 +116,80 @@ class Observation:
             InvalidSettingError: ``fps`` is no positive number.
         """
         rate = positive_number("fps", fps)
-        given = finite_array("trajectory", trajectory, (None, None, 3))
+        given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)
         if rate == FRAMES_PER_SECOND:
             return cls(given)
-        given = np.dstack([given[..., :2], np.unwrap(given[..., 2:], axis=0)])
-        steps = math.floor((len(given) - 1) / rate * FRAMES_PER_SECOND + 1e-6)
-        at = (1 + np.arange(steps * _PARTS)) * rate / (_PARTS * FRAMES_PER_SECOND)
-        known, columns = np.arange(len(given)), given.reshape(len(given), -1).T
-        between = np.stack([np.interp(at, known, column) for column in columns], axis=1)
-        means = between.reshape(steps, _PARTS, *given.shape[1:]).mean(axis=1)
-        return cls(np.concatenate([given[:1], means]))
+        return cls.at_times(given, np.arange(len(given)) / rate, gap=1 / rate)
+
+    @classmethod
+    def at_times(cls, trajectory: ArrayLike, times: ArrayLike, gap: float = GAP) -> Observation:
+        """Return the observation for frames with time stamps, as sensors give them.
+
+        The first one is the start. From there on there is a frame every twelfth of a second, the
+        mean over it. Bodies move straight between two time stamps; where these are more than
+        ``gap`` apart, or a body is not seen in one of them, it is unseen.
+
+        Args:
+            trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN where unseen.
+            times: (time,) seconds of simulated time, ascending.
+            gap: seconds.
+
+        Raises:
+            InvalidEventError: as for the class, or times do not ascend or are of another number.
+            InvalidSettingError: ``gap`` is no positive number.
+        """
+        given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)
+        stamps = finite_array("times", times, (len(given),))
+        clock, frames = Clock(positive_number("gap", gap)), list[FloatArray]()
+        for seconds, pose in zip(stamps.tolist(), given, strict=True):
+            frames += clock.put(seconds, pose)
+        rate = f" ({(len(stamps) - 1) / np.ptp(stamps):.3g} a second)" if len(stamps) > 1 else ""
+        return cls(
+            np.array(frames).reshape(-1, *given.shape[1:]),
+            f"{len(stamps)} time stamps{rate} put on {FRAMES_PER_SECOND:g} frames a second",
+        )
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a body or an angle was not seen in some frame."""
+        return bool(np.isnan(self.trajectory).any())
+
+    def filled(self) -> Observation:
+        """Return the observation with straight lines where a body or an angle was not seen.
+
+        Before it was seen first and after it was seen last it does not move.
+
+        Raises:
+            InvalidEventError: a body or an angle was never seen.
+        """
+        if not self.has_gaps:
+            return self
+        filled, time = self.trajectory.copy(), np.arange(self.n_frames)
+        for place in np.ndindex(filled.shape[1:]):
+            track = filled[:, *place]
+            seen = ~np.isnan(track)
+            if not seen.any():
+                what = f"{'angle' if place[1] == 2 else 'body'} {place[0]}"
+                raise InvalidEventError(f"{what} was never seen: there is nothing to go by")
+            turned = np.unwrap(track[seen]) if place[1] == 2 else track[seen]
+            track[~seen] = np.interp(time[~seen], time[seen], turned)
+        n = int(np.isnan(self.trajectory).any(axis=2).sum())
+        said = f"{n} poses that were not seen put on straight lines"
+        return Observation(filled, f"{self.said}; {said}" if self.said else said)
+
+    def whole(self, what: str) -> Observation:
+        """Return the observation if all was seen in it, as ``what`` needs it.
+
+        Raises:
+            InvalidEventError: a body or an angle was not seen in some frame.
+        """
+        if self.has_gaps:
+            n = int(np.isnan(self.trajectory).any(axis=(1, 2)).sum())
+            raise InvalidEventError(
+                f"{what} needs to see all bodies, and some were not seen in {n} of "
+                f"{self.n_frames} frames: observation.filled() puts them on straight lines"
+            )
+        return self
 
     @property
     def n_frames(self) -> int:
@@ -145,9 +212,14 @@ class Observation:
         return f"{self.n_frames} frames, {seconds:.1f} s simulated"
 
     def __repr__(self) -> str:
-        (x0, y0), (x1, y1) = self.positions.min(axis=(0, 1)), self.positions.max(axis=(0, 1))
-        bodies = f"{self.positions.shape[1]} bodies, x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}"
-        return f"<observation: {self.duration}; {bodies}>"
+        bodies = f"{self.positions.shape[1]} bodies"
+        seen = self.positions[~np.isnan(self.positions[..., 0])]
+        if seen.size:
+            (x0, y0), (x1, y1) = seen.min(axis=0), seen.max(axis=0)
+            bodies += f", x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}"
+        if n := int(np.isnan(self.positions[..., 0]).any(axis=1).sum()):
+            bodies += f"; in {n} frames not all are seen"
+        return f"<observation: {'; '.join(filter(None, (self.duration, bodies, self.said)))}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

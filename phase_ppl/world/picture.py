@@ -130,7 +130,7 @@ def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -
         parts.append(f'<rect {box} fill="rgb{one.colour}" opacity="0.5"/>')
     if trajectory is not None:
         for entity, colour in enumerate(world.entity_colours):
-            line = _points(trajectory[:, entity, :2])
+            line = _points(trajectory[~np.isnan(trajectory[:, entity, 0]), entity, :2])
             stroke = f'stroke="rgb{trail_colour(colour)}"'
             parts.append(f'<polyline points="{line}" fill="none" {stroke}/>')
     for entity, (pose, radius) in enumerate(zip(scene.start, scene.radius, strict=True)):

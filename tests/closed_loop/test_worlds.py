@@ -75,7 +75,7 @@ def test_joint_actions_of_three_follow_from_few_trials(distance: float, toleranc
     observed, strengths = trial.frame.copy(), np.array([[450.0, 300.0, 600.0]])
     found = np.empty((1, N_ACTIONS**3))
     batch = [part[None] for part in state]
-    scatter = inverse.Scatter(0.06, 0.06, 3.0)
+    scatter = inverse.Scatter(np.full(5, 0.06), np.full(5, 0.06), 3.0)
     inverse.try_all(*batch, strengths, observed, scatter, params, scratch, trial, found)
     table = found.reshape((N_ACTIONS,) * 3)
     assert np.unravel_index(found.argmax(), table.shape) == doing

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -20,27 +22,35 @@ BOTH = scene(red=(14.0, 8.0, 0.0), blue=(14.0, 9.7), green=(14.1, 11.3, 3.0))
 SCALE, ANGLE_SCALE, TAIL = 0.06, 0.05, 3.0
 
 
-def tried(where: Scene) -> tuple[np.ndarray, np.ndarray, compiled.Params]:
-    """Return (A, A) log densities of the frame after (up, turn left), and the frame."""
+def tried(where: Scene, unseen: Any = ()) -> tuple[np.ndarray, np.ndarray, compiled.Params]:
+    """Return (A, A) log densities of the frame after (up, turn left), and the frame.
+
+    Some of its bodies, or the angle of one, may be unseen.
+    """
     params = compiled.make_params(where, (450.0, 300.0), inner_steps=4)
     state = compiled.from_state(State.at_start(where), where.radius)
     trial, scratch = inverse.make_trial(), compiled.make_scratch()
     trial.actions[:] = Action.UP, Action.TURN_LEFT
     inverse.attempt(*state, params, scratch, trial)
     observed = trial.frame + 0.01
+    if unseen:
+        observed[unseen] = np.nan
     found = np.empty((1, N_ACTIONS**2))
     states = [part[None] for part in state]
     strengths = np.array([[450.0, 300.0]])
-    scatter = inverse.Scatter(SCALE, ANGLE_SCALE, TAIL)
+    scatter = inverse.Scatter(np.full(4, SCALE), np.full(4, ANGLE_SCALE), TAIL)
     inverse.try_all(*states, strengths, observed, scatter, params, scratch, trial, found)
     return found[0].reshape(N_ACTIONS, N_ACTIONS), observed, params
 
 
+@pytest.mark.parametrize("unseen", [(), ([0, 2],), (1, 2)], ids=["all", "bodies", "angle"])
 @pytest.mark.parametrize(
     "where", [APART, TOUCHING, NEAR, BOTH], ids=["apart", "touching", "near", "both"]
 )
-def test_every_pair_has_the_density_of_its_own_frame(where: Scene) -> None:
-    found, observed, params = tried(where)
+def test_every_pair_has_the_density_of_what_is_seen_of_its_own_frame(
+    where: Scene, unseen: Any
+) -> None:
+    found, observed, params = tried(where, unseen)
     place = stats.multivariate_t(np.zeros(2), SCALE**2 * np.eye(2), df=TAIL)
     for red in range(N_ACTIONS):
         for green in range(N_ACTIONS):
@@ -51,10 +61,11 @@ def test_every_pair_has_the_density_of_its_own_frame(where: Scene) -> None:
                 *(params, compiled.make_scratch(), frame),
             )
             away = observed - frame
-            expected = place.logpdf(away[:, :2]).sum()
-            expected += stats.t.logpdf(away[:2, 2], TAIL, scale=ANGLE_SCALE).sum()
+            expected = np.nansum(place.logpdf(away[:, :2]))
+            expected += np.nansum(stats.t.logpdf(away[:2, 2], TAIL, scale=ANGLE_SCALE))
             assert found[red, green] == pytest.approx(expected, abs=1e-9), (red, green)
-    assert np.unravel_index(found.argmax(), found.shape) == (Action.UP, Action.TURN_LEFT)
+    if not unseen:
+        assert np.unravel_index(found.argmax(), found.shape) == (Action.UP, Action.TURN_LEFT)
 
 
 def test_a_state_follows_what_was_seen_as_far_as_the_gains_say() -> None:
@@ -67,8 +78,8 @@ def test_a_state_follows_what_was_seen_as_far_as_the_gains_say() -> None:
     after, observed = trial.bodies.copy(), trial.frame + 0.1
     bodies, held, weld = np.empty((1, 4, 9)), np.empty((1, 2), np.int64), np.empty((1, 2, 3))
     inverse.follow(*(part[None] for part in state), np.array([[450.0, 300.0]]), np.array([0]), pair,
-                   observed, np.array([0.5, 0.25, 1.0]), params, scratch, trial, bodies, held,
-                   weld)  # fmt: skip
+                   observed, np.full((4, 3), [0.5, 0.25, 1.0]), np.zeros(4, np.int64), params,
+                   scratch, trial, bodies, held, weld)  # fmt: skip
     np.testing.assert_allclose(bodies[0, :, :2], after[:, :2] + 0.05, atol=1e-12)
     np.testing.assert_allclose(bodies[0, :2, 2], after[:2, 2] + 0.1, atol=1e-12)
     lag = inverse.FRAME_LAG * params.dt

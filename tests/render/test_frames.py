@@ -119,7 +119,7 @@ def test_what_is_out_of_the_picture_is_not_drawn_and_what_is_half_out_in_part() 
     for x, y in ((5.8, 12.0), (26.2, 12.0), (1e12, 3.0), (1e300, 1e300)):
         poses[RED, :2] = x, y
         draw_frame(alone(), poses, fields_of_view=True)
-    for wrong in (POSES[:3], [[math.nan] * 3] * 4, "poses", None):
+    for wrong in (POSES[:3], [[math.inf] * 3] * 4, "poses", None):
         with pytest.raises(InvalidEventError, match="poses"):
             frame(wrong)
 

@@ -108,12 +108,13 @@ def test_an_observation_needs_two_finite_frames_of_all_inside_the_arena() -> Non
     assert observation.n_frames == 5
     assert observation.positions.shape == (5, 4, 2)
     assert observation.angles[1, 0] == pytest.approx(0.3)
-    hole = np.where(np.arange(4)[:, None, None] == 2, math.nan, make_trajectory())
+    hole = make_trajectory().copy()
+    hole[2, 0, 0] = math.nan
     for trajectory, message in (
         (make_trajectory(1), "trajectory has 1 frame(s), expected at least 2"),
         ([], "trajectory has 0 frame(s)"),
         (make_trajectory()[0], "trajectory has shape (4, 3)"),
-        (hole, "[2, 0, 0] is nan"),
+        (hole, "trajectory[2, 0] is [nan, "),
         (make_trajectory()[:, :3], "has 3 entities, expected the 4 of PHASE"),
     ):
         with pytest.raises(InvalidEventError, match=re.escape(message)):

@@ -34,7 +34,7 @@ def last_frame() -> Predict:
 
 
 def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
-    world, frames = scene.world, observation.trajectory
+    world, frames = scene.world, observation.whole("the last frame").trajectory
     shares = np.zeros((len(world.agents), len(world.goals)))
     for agent, share in enumerate(shares):
         possible = possible_goals(agent, world)
@@ -54,7 +54,7 @@ def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
 def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
     if scene.world != PHASE_WORLD:
         return _predict_elsewhere(scene, observation)
-    start, end = observation.positions[0], observation.positions[-1]
+    start, *_, end = observation.whole("the last frame").positions
     moved = np.linalg.norm(end - start, axis=1) > scene.radius
     distance = np.linalg.norm(end[:, None] - scene.landmark_centres, axis=2)
     goals = []

@@ -318,6 +318,7 @@ class _Simulated(NamedTuple):
         found = [record.result.trajectory[..., :2].astype(np.float32) for record in records]
         strengths = np.stack([sites[name] for name in space.strength_sites], axis=1)
         squares = ((np.array(found, np.float64) - observed) ** 2).sum(axis=3)
+        squares[:, np.isnan(observed).any(axis=2)] = 0.0  # only what was seen is compared
         drawn_by = np.full(len(records), made_by)
         return cls(drawn_by, space.effective(sites).astype(np.int64), strengths, squares)
 

@@ -151,6 +151,7 @@ def frame_graphs(
     scene: Scene, observation: Observation, variant: Variant, touch: NDArray[np.bool_] | None = None
 ) -> Graphs:
     """Return the frames of an event as graphs; ``touch`` is as of :func:`touching`."""
+    observation = observation.whole("SocialGNN")
     touch = touching(scene, observation, variant) if touch is None else touch
     nodes, context = (_scaled if variant == "message_passing" else _as_they_are)(scene, observation)
     frame, one, other = np.nonzero(touch)

@@ -90,7 +90,7 @@ def test_a_bad_frame_is_refused_and_loses_nothing() -> None:
         watch.take(frames[0])
         watch.take(frames[1])
         for bad, message in (
-            (np.full((4, 3), np.nan), "frame 2"),
+            (np.full((4, 3), np.inf), "frame 2"),
             (frames[2][:3], "frame 2"),
             (frames[2] + 100, "frame 2: the red agent is at"),
         ):
