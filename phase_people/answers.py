@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+import pandas as pd
 import xarray as xr
 from jax import Array
 from scipy import special, stats
@@ -38,21 +39,22 @@ _STEPS: Final = 10  # damped Newton steps to the centre of these points
 class Answers:
     """People's answers about some videos."""
 
-    counts: Mapping[str, IntArray]  # question -> (event, answer) numbers of people
+    counts: Mapping[str, FloatArray]  # question -> (event, answer) numbers of people
     # (answer, [question, event, rater, answer]) single answers of people with names; empty where
-    # only counts are known
+    # only counts are known. A graded answer has a row for each share
     rows: IntArray
     raters: tuple[str, ...]  # names of the people
     times: IntArray  # (time, [event, rater]) of response times, which are in ``seconds``
     seconds: FloatArray  # (time,)
+    shares: FloatArray | None = None  # (answer,) of graded answers; None: all are 1
 
     @classmethod
     def of(cls, events: Sequence[ppl.Event], study: ppl.Study | None = None) -> Answers:
         """Return the judgments that events carry, and the response times of a study."""
-        judged = {i: one for i, e in enumerate(events) if (one := ppl.Judgments.of(e)) is not None}
+        found = {i: ppl.Judgments.of(event) for i, event in enumerate(events)}
+        judged = {i: one for i, one in found.items() if one is not None and one.counts}
         counts = {
-            question: np.zeros((len(events), len(labels)), np.int64)
-            for question, labels in QUESTIONS.items()
+            question: np.zeros((len(events), len(labels))) for question, labels in QUESTIONS.items()
         }
         for event, one in judged.items():
             for question, given in one.counts.items():
@@ -64,31 +66,44 @@ class Answers:
         names = sorted({who for one in judged.values() for who in one.responses} if named else ())
         place = {who: i for i, who in enumerate(names)}
         rows = [
-            (q, event, place[who], labels.index(given[question]))
+            (q, event, place[who], labels.index(label), share)
             for event, one in judged.items()
             if named
             for who, given in one.responses.items()
             for q, (question, labels) in enumerate(QUESTIONS.items())
             if question in given
+            for label, share in _shares(given[question]).items()
         ]
         ids = {event.id: i for i, event in enumerate(events)}
         times = [
-            (ids[row.video], place[row.participant], row.response_time)
-            for row in (() if study is None else study.table.itertuples())
-            if row.video in ids and row.participant in place and row.response_time > 0
+            (ids[row.event], place[row.participant], row.response_time)
+            for row in (() if study is None else _viewings(study).itertuples())
+            if row.event in ids and row.participant in place and row.response_time > 0
         ]
         return cls(
             counts,
-            np.array(rows, np.int64).reshape(-1, 4),
+            np.array([row[:4] for row in rows], np.int64).reshape(-1, 4),
             tuple(names),
             np.array([row[:2] for row in times], np.int64).reshape(-1, 2),
             np.array([row[2] for row in times], np.float64),
+            np.array([row[4] for row in rows], np.float64),
         )
 
     @property
     def judged(self) -> FloatArray:
         """(event,) 1 if anybody answered anything, else 0."""
         return np.any([n.any(axis=1) for n in self.counts.values()], axis=0).astype(float)
+
+
+def _shares(answer: str | Mapping[str, float]) -> Mapping[str, float]:
+    """Return label -> share of an answer."""
+    return {answer: 1.0} if isinstance(answer, str) else answer
+
+
+def _viewings(study: ppl.Study) -> pd.DataFrame:
+    """Return a row for each whole film that somebody judged."""
+    whole = study.table[study.table["at"].isna()]
+    return whole.drop_duplicates(["event", "participant"])
 
 
 def _normals(n: int) -> FloatArray:
@@ -112,7 +127,7 @@ def shared(logs: Array, spread: Array | float, question: str) -> Array:
 
 
 def about(
-    counts: IntArray, logs: Array, spread: Array | float, question: str
+    counts: FloatArray, logs: Array, spread: Array | float, question: str
 ) -> tuple[Array, Array]:
     """Return (answer, node, event) log odds that people may share, and (node, event) log masses.
 
@@ -201,9 +216,12 @@ def people(observer: Program, evidence: Evidence, answers: Answers, counted: Arr
         moved, log_mass = about(counts, said[question], spread, question)
         logs = said[question].T[:, None] + moved  # answer, node, event
         if n_raters:
-            of = answers.rows[answers.rows[:, 0] == place]
+            asked = answers.rows[:, 0] == place
+            of = answers.rows[asked]
             logs = jax.nn.log_softmax(logs, axis=0)[:, :, of[:, 1]] * sharp[of[:, 2]]
             chosen = jax.nn.log_softmax(logs, axis=0)[of[:, 3], :, np.arange(len(of))]
+            if answers.shares is not None:
+                chosen = answers.shares[asked][:, None] * chosen
             by_node = log_mass.at[:, of[:, 1]].add(chosen.T)
         else:  # faster with the sum over answers outermost
             by_node = log_mass + (counts.T[:, None] * logs).sum(axis=0)

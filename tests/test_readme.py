@@ -39,7 +39,7 @@ def saved(example: str, folder: Path) -> Path:
 
 def test_all_pages_with_examples_are_known() -> None:
     assert {name: len(found) for name, found in EXAMPLES.items()} == {
-        "judgments": 1,
+        "judgments": 2,
         "long_runs": 1,
         "many_events": 1,
     }
@@ -123,12 +123,14 @@ def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[.
     assert "collaborative" in run_script(saved(EXAMPLES["many_events"][0], tmp_path))
 
 
-def test_people_who_judge_another_world_are_shown_beside_a_model(
+def test_people_with_graded_answers_or_in_another_world_are_shown_beside_a_model(
     tmp_path: Path, run_script: Callable[..., str]
 ) -> None:
-    printed = run_script(saved(EXAMPLES["judgments"][0], tmp_path))
-    assert "people, majority" in printed
-    assert "agreement with people on relations" in printed
+    sliders, trio = (run_script(saved(example, tmp_path)) for example in EXAMPLES["judgments"])
+    for printed in (sliders, trio):
+        assert "people, majority" in printed
+    assert "[0.8   0.125 0.075]" in sliders
+    assert "agreement with people on relations" in trio
 
 
 @pytest.mark.slow

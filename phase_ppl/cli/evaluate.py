@@ -84,8 +84,7 @@ def evaluate(options: Options) -> int:
     events = phase_ppl.all_events(options.events, options.split)
     if options.judgments is not None:
         options.judgments = phase_ppl.load_judgments(options.judgments, events)
-        if options.judgments.summary:
-            print(f"people: {options.judgments.summary}")
+        print(f"people: {options.judgments}")
     if labelled:
         _check_several(options, events, models, of_models)
     else:

@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, Literal, TypeAlias, TypeVar, cast
 
 import msgspec
 
@@ -29,6 +29,9 @@ T = TypeVar("T")
 MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _FAULTS_SHOWN: Final = 8
+_QUALTRICS: Final = '{"ImportId"'
+"""Begin of the cells of Qualtrics' third line."""
+
 _PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
 """The first bytes of pickles; JSON never has them."""
 
@@ -233,67 +236,102 @@ class Faults:
         raise kind("; ".join(said))
 
 
+Keep: TypeAlias = Literal["refuse", "first", "last"]
+"""What becomes of rows that are there a second time: all are refused, or one counts."""
+
+Cells: TypeAlias = list[tuple[int, list[str]]]
+"""The rows of a table that are not empty, each with its line, the header first."""
+
+
 def read_rows(
     path: str | os.PathLike[str],
     check: Callable[[dict[str, str]], dict[str, Any]],
     check_header: Callable[[list[str]], None],
     once: Sequence[str],
+    keep: Keep | None = None,
 ) -> list[dict[str, Any]]:
     """Return the checked rows of a CSV file; an error names the file and all faults.
+
+    Cells are separated by commas, semicolons or tabs, whichever the first line has most of.
 
     Args:
         path: of the file.
         check: turns a row, column -> cell, into the result for that row.
         check_header: is called with the names of the columns.
-        once: columns whose values together must differ between rows.
+        once: columns whose values together must differ between rows; None does not tell them apart.
+        keep: which of those counts that do not; None: they are refused, and nobody can choose.
     """
     source = existing_file(path)
-    found: list[dict[str, Any]] = []
-    faults, seen = Faults(), dict[tuple[Any, ...], int]()
-    header: list[str] = []
-    line = after = 1
     with in_front(f"{source}"):
-        if source.stat().st_size > MAX_BYTES:
-            raise InvalidEventError(f": {too_large(MAX_BYTES)}")
-        try:
-            with open(source, encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(file, strict=True)
-                for row in reader:
-                    line, after = after, reader.line_num + 1
-                    cells = [cell.strip() for cell in row]
-                    if not any(cells):
-                        continue
-                    if "\0" in "".join(cells):
-                        raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
-                    if not header:
-                        header = cells
-                        with in_front(f", line {line}: "):
-                            check_header(header)
-                        continue
-                    with faults.noted(f"line {line}: "):
-                        if len(cells) != len(header):
-                            raise InvalidEventError(
-                                f"has {len(cells)} cells, expected {len(header)}"
-                            )
-                        given = check(dict(zip(header, cells, strict=True)))
-                        key = tuple(given[name] for name in once)
-                        if seen.setdefault(key, line) != line:
-                            what = ", ".join(f"{name} {shown(given[name])}" for name in once)
-                            raise InvalidEventError(
-                                f"has {what} a second time, after line {seen[key]}"
-                            )
-                        found.append(given)
-        except UnicodeDecodeError:
-            raise InvalidEventError(": is no CSV file in UTF-8") from None
-        except OSError as error:
-            raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
-        except csv.Error as error:
-            raise InvalidEventError(f", line {after}: is no CSV: {error}") from None
-        if not header:
-            raise InvalidEventError(": is empty")
-        with in_front(", "):
-            faults.check()
+        return checked_rows(_cells_of(source), check, check_header, once, keep)
+
+
+def _cells_of(source: Path) -> Cells:
+    found: Cells = []
+    line = after = 1
+    if source.stat().st_size > MAX_BYTES:
+        raise InvalidEventError(f": {too_large(MAX_BYTES)}")
+    try:
+        with open(source, "rb") as raw:
+            utf_16 = raw.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        with open(source, encoding="utf-16" if utf_16 else "utf-8-sig", newline="") as file:
+            separator = max(",;\t", key=file.readline().count)
+            file.seek(0)
+            reader = csv.reader(file, strict=True, delimiter=separator)
+            for row in reader:
+                line, after = after, reader.line_num + 1
+                cells = [cell.strip() for cell in row]
+                if "\0" in "".join(cells):
+                    raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
+                if any(cells):
+                    found.append((line, cells))
+    except UnicodeError:
+        raise InvalidEventError(": is no CSV file in UTF-8") from None
+    except OSError as error:
+        raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
+    except csv.Error as error:
+        raise InvalidEventError(f", line {after}: is no CSV: {error}") from None
+    if not found:
+        raise InvalidEventError(": is empty")
     return found
+
+
+def checked_rows(
+    table: Cells,
+    check: Callable[[dict[str, str]], dict[str, Any]],
+    check_header: Callable[[list[str]], None],
+    once: Sequence[str],
+    keep: Keep | None = None,
+) -> list[dict[str, Any]]:
+    """Return the checked rows of a table, as :func:`read_rows`; errors begin with ", line"."""
+    (line, header), *rows = table
+    for place, (_, cells) in enumerate(rows[:2], 1):
+        if any(cell.startswith(_QUALTRICS) for cell in cells):  # above are the questions' texts
+            rows = rows[place:]
+            break
+    if rows and len(rows[0][1]) == len(header) + 1 and rows[0][1][0] == "1":
+        header = ["", *header]  # as R writes the names of rows
+    with in_front(f", line {line}: "):
+        check_header(header)
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    lines: dict[tuple[Any, ...], int] = {}
+    faults = Faults()
+    for number, row in rows:
+        cells = row[: len(header)] if not any(row[len(header) :]) else row
+        with faults.noted(f"line {number}: "):
+            if len(cells) != len(header):
+                raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
+            given = check(dict(zip(header, cells, strict=True)))
+            key = tuple(given.get(name) for name in once)
+            if lines.setdefault(key, number) != number and keep not in ("first", "last"):
+                what = ", ".join(f"{n} {shown(given[n])}" for n in once if given.get(n) is not None)
+                how = "; repeated='first' or 'last' keeps one" if keep else ""
+                raise InvalidEventError(f"has {what} a second time, after line {lines[key]}{how}")
+            if keep == "last" or key not in found:
+                found[key] = given
+    with in_front(", "):
+        faults.check()
+    return list(found.values())
 
 
 def read_columns(

@@ -33,8 +33,8 @@ for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.eval
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -66,12 +66,13 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
     there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
     if not there.any():
         return None
-    p, people, counts = p[there], people[there], votes[there].astype(np.int64)
+    p, people, counts = p[there], people[there], votes[there]
     truth = label_places(true)[there]
     names = [event.id for event, is_there in zip(answers.events, there, strict=True) if is_there]
     rng = np.random.default_rng([seed, _STREAM])
     given = responses_of(answers.events)
-    drawn = None if given is None else people_drawn(given, names, counts, rng, resamples)
+    rows = None if given is None else rows_of(given, names, [*kinds_of(answers.world)["relation"]])
+    drawn = None if rows is None else people_drawn(rows, counts, rng, resamples)
     weights = resampled(len(p), seed, resamples)
     gap = negative_entropy(people) - log_score(p, people)
     brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
@@ -96,8 +97,8 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
         "brier": measure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
         "calibration": bins,
-        "ceiling": ceiling(counts, truth, rng, resamples),
-        "agreement": agreement(p, counts, rng, resamples),
+        "ceiling": ceiling(counts, truth, rng, resamples, rows),
+        "agreement": agreement(p, counts, rng, resamples, rows),
         "misfit": misfit.to_dict("records"),
     }
 
@@ -117,24 +118,69 @@ def same_truth(truth: IntArray, n_answers: int = len(RELATIONS)) -> IntArray:
     return np.where(truth[..., None] < 0, -1, groups)
 
 
-def people_drawn(
-    given: pd.DataFrame, events: Sequence[str], counts: IntArray, rng: np.random.Generator, n: int
-) -> FloatArray:
+class Rows(NamedTuple):
+    """Who gave which answer to some questions of some events."""
+
+    # (event, question) -> people, by number, and their answers (person, label), each of sum 1
+    given: Mapping[tuple[int, int], tuple[IntArray, FloatArray]]
+    n_people: int
+
+
+def rows_of(given: pd.DataFrame, events: Sequence[str], questions: Sequence[str],
+            labels: Sequence[str] = RELATIONS) -> Rows:  # fmt: skip
+    """Return the responses (:func:`responses_of`) to questions that have these labels."""
+    chosen = given[given["question"].isin(questions) & given["event"].isin(events)]
+    who, everybody = pd.factorize(chosen["who"])
+    places = pd.DataFrame({
+        "event": pd.Index(events).get_indexer(chosen["event"]),
+        "question": pd.Index(questions).get_indexer(chosen["question"]),
+        "who": who,
+        "label": pd.Index(labels).get_indexer(chosen["label"]),
+        "value": chosen["value"].to_numpy(float),
+    })  # fmt: skip
+    found = {}
+    for key, rows in places.groupby(["event", "question"]):
+        people, place = np.unique(rows["who"], return_inverse=True)
+        table = np.zeros((len(people), len(labels)))
+        table[place, rows["label"]] = rows["value"]
+        found[key] = people, table
+    return Rows(found, len(everybody))
+
+
+def people_drawn(rows: Rows, counts: FloatArray, rng: np.random.Generator, n: int) -> FloatArray:
     """Return (resample, event, answer) shares of the responses of resampled people.
 
     Each person is resampled with all responses. An event that loses all of its raters keeps its
     shares.
     """
-    chosen = given[given["label"].isin(RELATIONS) & given["event"].isin(events)]
-    who, everybody = pd.factorize(chosen["who"])
-    times = rng.multinomial(len(everybody), np.full(len(everybody), 1 / len(everybody)), size=n)
+    times = rng.multinomial(rows.n_people, np.full(rows.n_people, 1 / rows.n_people), size=n)
     found = np.zeros((n, *counts.shape))
-    places = pd.Index(events).get_indexer(chosen["event"])
-    labels = pd.Index(RELATIONS).get_indexer(chosen["label"])
-    for event, answer, person in zip(places, labels, who, strict=True):
-        found[:, event, answer] += times[:, person]
+    for (event, _), (who, table) in rows.given.items():
+        found[:, event] = times[:, who] @ table
     found = np.where(found.sum(axis=-1, keepdims=True) > 0, found, counts)
     return np.asarray(found / found.sum(axis=-1, keepdims=True))
+
+
+def half_of(
+    ratings: FloatArray, table: FloatArray | None, rng: np.random.Generator, splits: int
+) -> FloatArray:
+    """Return (split, label) the ratings (label,) of a random half of the people.
+
+    Whole ratings suffice. Graded answers need those of each person (person, label); without them
+    it is NaN.
+    """
+    if (ratings == np.round(ratings)).all() and (table is None or np.isin(table, (0, 1)).all()):
+        found = np.zeros((splits, len(ratings)))
+        voted = np.flatnonzero(ratings)
+        found[:, voted] = rng.multivariate_hypergeometric(
+            ratings[voted].astype(np.int64), int(ratings.sum()) // 2, size=splits,
+            method="marginals",
+        )  # fmt: skip
+        return found
+    if table is None:
+        return np.full((splits, len(ratings)), np.nan)
+    first = np.tile(np.arange(len(table)) < len(table) // 2, (splits, 1))
+    return np.asarray(rng.permuted(first, axis=1) @ table, np.float64)
 
 
 def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:
@@ -146,26 +192,31 @@ def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:
 
 
 def ceiling(
-    counts: IntArray, truth: IntArray, rng: np.random.Generator, splits: int
+    counts: FloatArray,
+    truth: IntArray,
+    rng: np.random.Generator,
+    splits: int,
+    rows: Rows | None = None,
 ) -> dict[str, float | None]:
     """Return how well raters predict each other (``ceiling`` of the module)."""
-    several = counts[counts.sum(axis=1) > 1]
-    of_several = truth[counts.sum(axis=1) > 1]
+    chosen = np.flatnonzero(np.round(counts.sum(axis=1)) > 1)
+    several, of_several = counts[chosen], truth[chosen]
     if not len(several):
         return {}
+    tables = [None if rows is None else rows.given[event, 0][1] for event in chosen.tolist()]
     half = np.stack(
-        [
-            rng.multivariate_hypergeometric(row, row.sum() // 2, size=splits, method="marginals")
-            for row in several
-        ],
-        axis=1,
+        [half_of(*of_event, rng, splits) for of_event in zip(several, tables, strict=True)], axis=1
     )
     one, other = (part / part.sum(axis=-1, keepdims=True) for part in (half, several - half))
-    left_out = np.repeat(np.arange(len(several)), len(RELATIONS))
-    answer = np.tile(np.eye(len(RELATIONS)), (len(several), 1))
+    # every answer, and how often it was given
+    each = [
+        (np.eye(several.shape[1]), ratings) if table is None else (table, np.ones(len(table)))
+        for ratings, table in zip(several, tables, strict=True)
+    ]
+    left_out = np.repeat(np.arange(len(several)), [len(times) for _, times in each])
+    answer, times = (np.concatenate(part) for part in zip(*each, strict=True))
     rest = np.maximum(several[left_out] - answer, 0)
     rest = rest / np.maximum(rest.sum(axis=1, keepdims=True), 1)
-    times = several.ravel().astype(float)
     groups = same_truth(of_several, len(RELATIONS))
     found: dict[str, float] = {}
     for suffix, of_events in (("", None), ("_given_truth", groups)):
@@ -184,28 +235,39 @@ def _mean(values: FloatArray) -> float:
 
 
 def agreement(
-    p: FloatArray, counts: IntArray, rng: np.random.Generator, n: int
-) -> dict[str, float] | None:
-    """Return whether raters agree as often as the model predicts (``agreement`` of the module)."""
-    several = counts.sum(axis=1) > 1
+    p: FloatArray, counts: FloatArray, rng: np.random.Generator, n: int, rows: Rows | None = None
+) -> dict[str, float | None] | None:
+    """Return whether raters agree as often as the model predicts (``agreement`` of the module).
+
+    Graded answers agree by the product of their shares; what raters of the model would answer is
+    unknown then.
+    """
+    several = np.round(counts.sum(axis=1)) > 1
     if not several.any():
         return None
 
-    def agreeing(given: IntArray) -> FloatArray:
-        total = given.sum(axis=-1)
-        pairs = (given * (given - 1)).sum(axis=-1) / (total * (total - 1))
+    def agreeing(given: FloatArray | IntArray, alone: FloatArray) -> FloatArray:
+        """``alone`` is the sum over raters of a rater's agreement with an equal one."""
+        total = np.round(given.sum(axis=-1))
+        pairs = ((given**2).sum(axis=-1) - alone) / (total * (total - 1))
         return np.asarray(pairs.mean(axis=-1))
 
-    people = float(agreeing(counts[several]))
+    given, expected = counts[several], float((p[several] ** 2).sum(axis=1).mean())
+    if rows is not None and any((table % 1).any() for _, table in rows.given.values()):
+        tables = [rows.given[event, 0][1] for event in np.flatnonzero(several).tolist()]
+        people = float(agreeing(given, np.array([(one**2).sum() for one in tables])))
+        return {"people": people, "expected": expected, "low": None, "high": None, "p": None}
+    people = float(agreeing(given, given.sum(axis=-1)))
     size = (n, int(several.sum()))
     # rounded sums may exceed 1, which NumPy refuses
     chances = p[several] / p[several].sum(axis=1, keepdims=True)
-    drawn = agreeing(rng.multinomial(counts[several].sum(axis=1), chances, size=size))
+    votes = given.sum(axis=1)
+    drawn = agreeing(rng.multinomial(votes.astype(np.int64), chances, size=size), votes)
     low, high = np.quantile(drawn, [0.025, 0.975])
     tail = min((drawn <= people).sum(), (drawn >= people).sum()) + 1
     return {
         "people": people,
-        "expected": float((p[several] ** 2).sum(axis=1).mean()),
+        "expected": expected,
         "low": float(low),
         "high": float(high),
         "p": min(1.0, float(2 * tail / (n + 1))),
@@ -256,9 +318,9 @@ def _x_log_x(p: FloatArray) -> FloatArray:
 
 
 def split_half(
-    votes: IntArray,
+    votes: FloatArray,
     weights: FloatArray,
-    chosen: IntArray | None = None,
+    rows: Rows | None = None,
     seed: int = 0,
     splits: int = SPLITS,
 ) -> tuple[FloatArray, int]:
@@ -270,30 +332,28 @@ def split_half(
     Args:
         votes: (event, question, label) how many people gave an answer.
         weights: (row, event) of the events.
-        chosen: (who, event, question) index of each person's answer, -1: none. Participants are
-            then split once for all events, as in the paper. Without it the ratings of each question
-            of each event are split separately; counts allow no more.
+        rows: who gave which answer. Participants are then split once for all events, as in the
+            paper. Without it the ratings of each question of each event are split separately;
+            counts allow no more.
 
     Returns:
         (row,) values, NaN if they cannot be computed, and the number of events that count.
     """
     rng = np.random.default_rng([seed, 1])
-    if chosen is not None:
-        first = np.arange(len(chosen)) < len(chosen) // 2
+    if rows is not None:
+        first = np.arange(rows.n_people) < rows.n_people // 2
         in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
     sums = np.zeros((6, splits, len(votes)))
     for event, question in np.argwhere(votes.sum(axis=-1) > 0):
         ratings = votes[event, question]
-        if chosen is not None:
-            one = in_one @ (chosen[:, event, question, None] == np.arange(len(ratings))).astype(int)
+        if rows is not None:
+            who, table = rows.given[event, question]
+            one = in_one[:, who] @ table
         else:
-            given = np.flatnonzero(ratings)
-            one = np.zeros((splits, len(ratings)), np.int64)
-            one[:, given] = rng.multivariate_hypergeometric(
-                ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
-            )
+            one = half_of(ratings, None, rng, splits)
         other = ratings - one
-        both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
+        # of graded answers, half of nobody is 0 up to rounding
+        both = (one.sum(axis=1) > 0.5) & (other.sum(axis=1) > 0.5)
         sums[:, both, event] += _sums(one[both], other[both])
     n, x, y, xx, yy, xy = (weights @ part.T for part in sums)
     r = r_of_sums(
@@ -308,24 +368,21 @@ def split_half(
 
 
 def split_half_of(
-    answers: Answers, kind: str, weights: FloatArray, seed: int
+    answers: Answers, kind: str, weights: FloatArray, seed: int, at: float | None = None
 ) -> tuple[FloatArray, int]:
-    """Return :func:`split_half` of people's answers to a kind of questions."""
-    votes = answers.array(kind, "votes").astype(np.int64)
-    given, chosen = responses_of(answers.events), None
+    """Return :func:`split_half` of people's answers to a kind of questions.
+
+    ``at`` is the moment that the answers are about, if not the whole film.
+    """
+    votes = answers.array(kind, "votes")
+    given, rows = responses_of(answers.events, at), None
     if not votes.any():
         return np.full(len(weights), np.nan), 0
     if given is not None:
-        questions = pd.Index(kinds_of(answers.world)[kind])
-        who, everybody = pd.factorize(given["who"])
-        event = pd.Index([event.id for event in answers.events]).get_indexer(given["event"])
-        question = questions.get_indexer(given["question"])
         labels = answers.world.goals if kind == "goal" else RELATIONS
-        chosen = np.full((len(everybody), len(answers.events), len(questions)), -1)
-        of_kind = question >= 0
-        places = pd.Index(labels).get_indexer(given["label"])
-        chosen[who[of_kind], event[of_kind], question[of_kind]] = places[of_kind]
-    return split_half(votes, weights, chosen, seed)
+        events = [event.id for event in answers.events]
+        rows = rows_of(given, events, kinds_of(answers.world)[kind], labels)
+    return split_half(votes, weights, rows, seed)
 
 
 def _sums(one: IntArray, other: IntArray) -> FloatArray:

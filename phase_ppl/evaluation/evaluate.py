@@ -16,10 +16,12 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.prediction import Prediction, until_moments
+from phase_ppl.evaluation.ratings import moments_of
 from phase_ppl.evaluation.registry import (
     Answer,
     Onlooker,
@@ -99,6 +101,9 @@ def evaluate(
     exception is a setting of a model given by name that fails before anything has succeeded. If a
     worker process dies, its event is tried once more.
 
+    Where people judged at moments of a film, a posterior is read at the frame of each. A model
+    without one is asked again about the film until then.
+
     The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
     results do not depend on the number of workers, nor on order and choice of events.
 
@@ -175,6 +180,12 @@ def evaluate(
             cost = cost_of(kept, slots, time.monotonic() - clock)
             return Evaluation(chosen, kept, failures, settings, cost, folder, tuple(notes))
 
+        for event in chosen:
+            if event.id in done and not set(moments_of(event)) <= set(done[event.id].moments):
+                again = folder.with_moments(event) if folder is not None else None
+                done |= {} if again is None else {event.id: again}
+                if again is None:
+                    del done[event.id]
         left = sorted(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,
@@ -266,8 +277,9 @@ def _outcomes(
     seed, digests = settings["seed"], settings["events"]
     jobs = [
         # the rest of the event is hidden from models and worker processes
-        _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), with_artefacts)
+        _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), with_artefacts, m)
         for i, e in enumerate(events)
+        for m in [moments_of(e)]
     ]
     answers = results(_ask, model.predict, jobs, workers, "the model", executor)
     with contextlib.closing(answers):
@@ -296,6 +308,7 @@ class _Job(NamedTuple):
     observation: Observation
     seed: int
     with_artefacts: bool
+    moments: tuple[float, ...] = ()  # of the film, at which the model's answer is read off
 
 
 class _Outcome(NamedTuple):
@@ -317,6 +330,8 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
         seconds, cpu = time.perf_counter() - clock, time.process_time() - used
         answer = Answer.of(given)
         prediction = Prediction.of(answer.given, world=job.scene.world)
+        if job.moments:
+            prediction = _at_moments(prediction, answer, predict, job)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})
@@ -327,6 +342,19 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
         jax = sys.modules.get("jax")
         if in_worker() and jax is not None and next(_asked) % COMPILED_OF == 0:
             jax.clear_caches()
+
+
+def _at_moments(prediction: Prediction, answer: Answer, predict: Predict, job: _Job) -> Prediction:
+    """Return a prediction with ``moments``: of the posterior, or of the film until then."""
+    if isinstance(answer.given, EventPosterior):
+        moments, hindsight = until_moments(answer.given, job.moments)
+        return dataclasses.replace(prediction, moments=moments, hindsight=hindsight)
+    found = {}
+    for at in job.moments:
+        given = predict(job.scene, job.observation.until(at), job.seed)
+        made = Prediction.of(Answer.of(given).given, world=job.scene.world)
+        found[at] = made.probabilities
+    return dataclasses.replace(prediction, moments=found)
 
 
 def _contents(answer: Answer) -> dict[str, bytes]:

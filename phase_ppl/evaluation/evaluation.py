@@ -43,7 +43,8 @@ from phase_ppl.evaluation.metrics import (
     paired_difference,
     reference_models,
 )
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions, until_moments
+from phase_ppl.evaluation.ratings import moments_of
 from phase_ppl.evaluation.table import (
     PEOPLE,
     Answers,
@@ -90,7 +91,7 @@ _COLUMNS: Final = {
     **dict.fromkeys(("probability", "error"), "float64"),
     "answer": "bool",
     **dict.fromkeys(("truth", "sure", "decided"), "boolean"),
-    **{"people": "float64", "n": "int64"},
+    **{"people": "float64", "n": "int64", "at": "float64"},
 }
 """Column of the tidy table -> its type of numbers; None: text."""
 
@@ -148,12 +149,14 @@ class Evaluation(Printed):
             its Monte-Carlo ``error`` (NaN: unknown); ``answer``, whether the label is the model's
             answer; ``truth``, whether it is true (NA: unknown); ``sure``, whether the posterior is
             sure of the answer, and ``decided``, whether the event is decided (NA: no posterior);
-            ``people``, the share of people who gave the label (NaN: nobody was asked), and ``n``,
-            how many answered the question.
+            ``people``, the share of people who gave the label (NaN: nobody was asked); ``n``,
+            how many answered the question; and ``at``, the seconds of the film until which all
+            this is (NaN: the whole film).
         """
         events = [event for event in self.events if event.id in self.predictions]
         rows = Answers.of(events, self.predictions).rows
-        n = rows.groupby(["event", "question"], sort=False)["votes"].transform("sum")
+        keys = ["event", "at", "question"]
+        n = rows.groupby(keys, sort=False, dropna=False)["votes"].transform("sum").round()
         table = rows.assign(n=n, model=self.name)[rows["answer"].notna()]
         kinds = {name: kind for name, kind in _COLUMNS.items() if kind}
         return table[list(_COLUMNS)].reset_index(drop=True).astype(kinds)
@@ -500,6 +503,20 @@ class ResultsFolder:
                 f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"
             )
         return prediction
+
+    def with_moments(self, event: Event) -> Prediction | None:
+        """Return an event's prediction at the moments at which people judged it, and keep it.
+
+        They are read off its posterior. None: it has none.
+        """
+        source = self.folder_of(event.id) / POSTERIOR
+        made = self.prediction(event.id)
+        if made is None or not source.is_file():
+            return None
+        moments, hindsight = until_moments(load_posterior(source), moments_of(event))
+        found = dataclasses.replace(made, moments=moments, hindsight=hindsight)
+        write_json(source.with_name(PREDICTION), found.to_dict())
+        return found
 
     def write_failures(self, failures: Mapping[str, str]) -> None:
         """Keep what went wrong, by event."""

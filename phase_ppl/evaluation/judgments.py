@@ -1,4 +1,4 @@
-"""Studies of people's judgments: a CSV file, one row per participant and video.
+"""Studies of people's judgments: tables of answers, and raters' files.
 
 ::
 
@@ -7,13 +7,19 @@
     p01,oppose,get to green agent,get away from red agent,adversarial,8.1
     p02,collaborate,Get pink item to red lm,,friendly,
 
-``participant`` and ``video`` (the id of the event) are required, and at least one of the questions
-``goal_red``, ``goal_green`` (effective goals, the paper's strings) and ``relation`` (friendly,
-neutral, adversarial). ``response_time`` [s] is optional. Columns come in any order; others are
-refused. Cells of all but the first two may be empty; nothing is assumed in their place. The file is
-UTF-8, with cells separated by commas. Case and spaces around an answer do not matter. Other worlds
-than PHASE have their own questions (:func:`~phase_ppl.evaluation.prediction.questions_of`), such as
-``goal_purple`` and ``relation_red_purple``.
+A table has a row per participant and video. It names ``participant`` and ``video`` (the id of the
+event), and at least one of the questions ``goal_red``, ``goal_green`` (effective goals, the paper's
+strings) and ``relation`` (friendly, neutral, adversarial). ``response_time`` [s] is optional.
+Columns come in any order. Cells of all but ``participant`` may be empty; nothing is assumed in
+their place. Case and spaces around an answer do not matter. Other worlds than PHASE have their own
+questions (:func:`~phase_ppl.evaluation.prediction.questions_of`), such as ``goal_purple`` and
+``relation_red_purple``.
+
+Graded answers have a column for each label, such as ``friendly`` or ``relation friendly``, with
+numbers of at least 0. ``at`` [s] is the moment of the film until which a person had seen it.
+``confidence`` is kept beside the answers. There are two other forms: a row per answer, with the
+columns ``question`` and ``answer``, and for graded ones ``value``; and a row per participant, with
+columns such as ``collaborate_relation``.
 
 Raters' files of a public study of PHASE are read too: a folder with a text file per rater. The
 repository Isik-lab/SocialGNN has them; those of the test videos are in
@@ -30,54 +36,48 @@ import dataclasses
 import functools
 import math
 import os
-import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
 import pandas as pd
 
 from phase_ppl.data.authors.videos import parse_name
-from phase_ppl.data.documents import Faults, in_front, of_kind, read_rows, reading_bytes, too_large
+from phase_ppl.data.documents import Keep, in_front, of_kind, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
+from phase_ppl.evaluation.answers_file import COLUMNS, Graded, Source, read_answers, summed_up
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
-from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
+from phase_ppl.evaluation.prediction import checked_answer, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.table import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
-    UnknownNameError,
-    check_name,
     instance_of,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file
 from phase_ppl.world.scene import PHASE, World, check_is_phase
 
-_NOT_AVAILABLE: Final = ("NA", "N/A", "NaN", "nan", "None", "null", "NULL")
-"""Texts that R, pandas, spreadsheets and JSON write for missing values."""
-
-
-def columns_of(world: World) -> tuple[str, ...]:
-    """Return all columns of the table of a study about events of a world."""
-    return ("participant", "video", *questions_of(world), "response_time")
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Study:
-    """Participants' judgments of videos.
+    """Participants' judgments of videos. ``print`` says what was read, and how.
 
     Attributes:
-        table: a row per participant and video, with the columns :func:`columns_of`; answers as the
-            labels spell them, None if missing; response times in seconds, NaN if missing.
+        table: a row per participant, event, question, answer and moment. Columns are
+            ``participant``, ``event``, ``question`` and ``answer``, as the labels spell it;
+            ``value``, its share of the person's answer: 1 for a label; ``at``, seconds of the film
+            until which it had been seen (NaN: all of it); ``response_time`` in seconds, NaN if
+            missing. Where they were given, there are ``rating``, as it was before it became a
+            share; ``confidence``; and further columns of the file, as text or None.
         world: world of the events.
-        summary: which of the raters' files were kept, and why others were not; "" for a CSV file.
+        summary: what was done with the file: what was left out, and why; which of raters' files
+            were kept. A line each.
     """
 
     table: pd.DataFrame
@@ -92,14 +92,19 @@ class Study:
     @functools.cached_property
     def judgments(self) -> Mapping[str, Judgments]:
         """Video -> judgments of the participants who answered a question about it."""
-        answers = self.table.set_index("participant")[["video", *questions_of(self.world)]]
-        found = {
-            video: Judgments.of_responses(
-                {who: dict(row.dropna()) for who, row in rows.drop(columns="video").iterrows()},
-                self.world,
-            )
-            for video, rows in answers.groupby("video", sort=False)
-        }
+        found = {}
+        for event, rows in self.table.groupby("event", sort=False):
+            said: dict[float | None, dict[str, dict[str, Any]]] = {None: {}}
+            of_event = rows[["at", "participant", "question", "answer", "value"]]
+            for at, who, question, answer, value in of_event.itertuples(index=False):
+                of_moment = said.setdefault(None if math.isnan(at) else at, {})
+                row = of_moment.setdefault(who, {})
+                if value == 1:
+                    row[question] = answer
+                elif value > 0:
+                    row.setdefault(question, {})[answer] = value
+            whole = said.pop(None)
+            found[event] = Judgments.of_responses(whole, self.world, cast("Any", said))
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
     def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:
@@ -116,63 +121,72 @@ class Study:
         """
         return participant_accuracy(with_judgments(events, self))
 
+    def __str__(self) -> str:
+        return "\n".join(filter(None, [summed_up(self.table, self.world), self.summary]))
+
     def __repr__(self) -> str:
-        return (
-            f"<Study of {len(self.judgments)} videos, {len(self.participants)} participants, "
-            f"{len(self.table)} rows{self.summary and f': {self.summary}'}>"
-        )
+        return f"<Study: {summed_up(self.table, self.world)}>"
 
 
 def load_judgments(
-    path: str | os.PathLike[str],
+    path: Source,
     events: str | os.PathLike[str] | Sequence[Event] | None = None,
+    *,
+    names: Mapping[str, str | None] | None = None,
+    na: Sequence[str] = (),
+    repeated: Keep = "refuse",
+    milliseconds: bool | None = None,
+    graded: Graded = "divide",
+    temperature: float | None = None,
 ) -> Study:
-    """Read a study from a CSV file or from raters' files, in the formats that the module describes.
+    """Read a study from a table or from raters' files, in the formats that the module describes.
+
+    Tables are read as pandas, R, Excel, jsPsych and Qualtrics write them: with cells separated by
+    commas, semicolons or tabs, a column of row numbers, empty columns, and the usual texts for
+    missing values. Columns of other names are kept. Rows without an answer or a video are left out.
 
     Args:
-        path: of the file; or the folder of raters' files of the public study, or one of them.
+        path: of the file, or a :class:`pandas.DataFrame`; or the folder of raters' files of the
+            public study, or one of them. The options below are for tables.
         events: events that may be judged, or their file or folder, of one world; it decides the
-            questions. A CSV row about another video is an error; a rater's answer about one is
-            left out. Default: any events of PHASE.
+            questions. A row about another video is an error; a rater's answer about one is left
+            out. Default: any events of PHASE.
+        names: your name -> the name here, of columns, questions, answers and videos; None leaves
+            a column out.
+        na: further texts for missing values, such as "-99".
+        repeated: which answer counts where a person answered the same twice: "first" or "last";
+            by default such a file is refused, with all of them named.
+        milliseconds: whether ``response_time`` and ``at`` are in milliseconds; by default from
+            their median.
+        graded: how ratings become shares: "divide" by their sum, or "softmax", exp(rating /
+            temperature) divided by its sum.
+        temperature: of the softmax, in units of the ratings. By default it is fitted: ratings then
+            best predict other people's leading answers.
 
     Raises:
         InvalidEventError: there is no such file, or it is no such table: columns are missing, a
-            row has too many or too few cells, no participant or video, a time that is no number
-            of seconds, or a participant judges a video twice; or nothing is answered.
-        UnknownNameError: a column, goal, relation or video is unknown; the message names close
-            matches. Messages begin with the file, and the line where it is one.
+            row has too many or too few cells, no participant, a time or rating that is no number,
+            or a participant judges a video twice; or nothing is answered.
+        InvalidSettingError: ``temperature`` is not positive, or nothing can be fitted to.
+        UnknownNameError: a column, goal, relation, video or option is unknown; the message names
+            close matches. Messages begin with the file, and the line where it is one.
     """
     judged = None if events is None else all_events(events)
     videos = None if judged is None else [event.id for event in judged]
     world = world_of(judged or ())
-    source = as_path(path)
-    if source.is_dir() or _begins_a_list(source):
-        check_is_phase(world, "a rater's file")
-        return _study(path, *read_raters(source, videos))
-
-    def check(cells: dict[str, str]) -> dict[str, Any]:
-        row = _row(cells, world)
-        if videos is not None:
-            check_name("video", row["video"], videos)
-        return row
-
-    check_header = functools.partial(_check_header, world, events is not None)
-    rows = read_rows(path, check, check_header, once=("participant", "video"))
-    return _study(path, rows, "", world)
-
-
-def _study(
-    path: str | os.PathLike[str],
-    rows: Sequence[Mapping[str, Any]],
-    summary: str,
-    world: World = PHASE,
-) -> Study:
-    if not any(row.get(question) for row in rows for question in questions_of(world)):
-        raise InvalidEventError(f"{path}: holds no judgments{' of these events' * bool(summary)}")
-    # plain objects: pandas' own text would make NaN of None
-    cells = [[row.get(name) for name in columns_of(world)] for row in rows]
-    table = pd.DataFrame(cells, columns=list(columns_of(world)), dtype=object)
-    return Study(table.astype({"response_time": float}), world, summary)
+    if not isinstance(path, pd.DataFrame):
+        source = as_path(path)
+        if source.is_dir() or _begins_a_list(source):
+            check_is_phase(world, "a rater's file")
+            return read_raters(source, videos)
+    table, notes = read_answers(
+        path, world, videos, names=names, na=na, repeated=repeated, milliseconds=milliseconds,
+        graded=graded, temperature=temperature,
+    )  # fmt: skip
+    if table.empty:
+        name = "the table" if isinstance(path, pd.DataFrame) else path
+        raise InvalidEventError(": ".join([f"{name}: holds no judgments", *notes]))
+    return Study(table, world, "\n".join(notes))
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
@@ -194,62 +208,6 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     return found
 
 
-def _check_header(world: World, of_events: bool, header: Sequence[str]) -> None:
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        raise InvalidEventError(f"is {shown(header[0])}, expected cells separated by commas")
-    faults = Faults()
-    for name in dict.fromkeys(header):
-        with faults.noted():
-            if not name:
-                raise InvalidEventError(
-                    "has a column without a name, as pandas writes its index (index=False leaves "
-                    "it out) and Excel empty ones"
-                )
-            if name not in columns_of(world):
-                error = unknown_name("column", name, columns_of(world))
-                why = f"the events are of the world {world.name!r}"
-                raise UnknownNameError(
-                    f"{error} "
-                    f"({why if of_events else 'without its events a study is one of PHASE'})"
-                )
-            if header.count(name) > 1:
-                raise InvalidEventError(f"names the column {name} twice")
-    faults.check()
-    missing = [name for name in ("participant", "video") if name not in header]
-    if missing:
-        raise InvalidEventError(f"names no column {' and no column '.join(missing)}")
-    if not any(name in questions_of(world) for name in header):
-        raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
-
-
-def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
-    row: dict[str, Any] = {}
-    faults = Faults()
-    for name in ("participant", "video"):
-        with faults.noted():
-            if not cells[name] or not cells[name].isprintable():
-                raise InvalidEventError(f"{name} is {shown(cells[name])}, expected printable text")
-            row[name] = cells[name]
-    for question in questions_of(world):
-        answer = cells.get(question)
-        with faults.noted(f"{question}: "):
-            if answer in _NOT_AVAILABLE:
-                raise InvalidEventError(f"{answer}, expected an empty cell where there is none")
-            row[question] = checked_answer(question, answer, world) if answer else None
-    seconds = cells.get("response_time", "")
-    with faults.noted():
-        row["response_time"] = math.nan
-        is_number = re.fullmatch(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", seconds)
-        if seconds and not (is_number and math.isfinite(float(seconds))):
-            raise InvalidEventError(
-                f"response_time is {shown(seconds)}, expected seconds, such as 12.4"
-            )
-        if seconds:
-            row["response_time"] = float(seconds)
-    faults.check()
-    return row
-
-
 # --- raters' files --------------------------------------------------------------------------------
 
 FILMS: Final = 23  # answers in a complete file
@@ -264,12 +222,12 @@ def _begins_a_list(path: Path) -> bool:
         return file.read(64).lstrip(b"\xef\xbb\xbf \r\n").startswith(b"[")
 
 
-def read_raters(path: Path, videos: Collection[str] | None) -> tuple[list[dict[str, str]], str]:
-    """Return raters' answers about ``videos`` (None: all) as rows of a study, and a summary.
+def read_raters(path: Path, videos: Collection[str] | None) -> Study:
+    """Return the study of raters' answers about ``videos`` (None: all).
 
     Raises:
         InvalidEventError: there is no rater's file, none is kept, or a complete one has an invalid
-            line; the message names file and line.
+            line; the message names file and line. Or none of these videos was judged.
         UnknownNameError: a relation is unknown.
     """
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
@@ -291,12 +249,14 @@ def read_raters(path: Path, videos: Collection[str] | None) -> tuple[list[dict[s
         raise InvalidEventError(f"{path}: {summary}")
     width = len(str(len(kept)))
     rows = [
-        {"participant": f"rater-{number:0{width}}", "video": video, "relation": relation}
+        (f"rater-{number:0{width}}", video, "relation", relation, 1.0, math.nan, math.nan)
         for number, answers in enumerate(kept, 1)
         for video, relation in answers.items()
         if videos is None or video in videos
     ]
-    return rows, summary
+    if not rows:
+        raise InvalidEventError(f"{path}: holds no judgments of these events")
+    return Study(pd.DataFrame(rows, columns=[*COLUMNS]), PHASE, summary)
 
 
 def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:

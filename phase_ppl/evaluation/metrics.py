@@ -268,7 +268,7 @@ def _among_people(answers: Answers, weights: FloatArray, seed: int) -> dict[Plac
         ("human", f"{prefix}split_half_r"): measure(*split_half_of(answers, kind, weights, seed))
         for kind, prefix in PREFIX.items()
     }
-    judged = any(event.judgments and Judgments.of(event) for event in answers.events)
+    judged = answers.whole["people"].notna().any()
     by = "votes" if responses_of(answers.events) is None else "participants"
     found["human", "split_half_by"] = by if judged else None
     return found
@@ -499,7 +499,7 @@ def human_accuracy(
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
         InvalidSettingError: ``seed`` or ``resamples`` is out of range.
     """
-    chosen = [e for e in events if e.truth is not None and Judgments.of(e) is not None]
+    chosen = [e for e in events if e.truth is not None and (j := Judgments.of(e)) and j.counts]
     answers = Answers.of(events, {}).about([event.id for event in chosen])
     weights = resampled(len(chosen), seed, resamples)
     share: dict[str, FloatArray] = {}
@@ -523,7 +523,10 @@ def human_accuracy(
     given = responses_of(chosen)
     if given is not None:
         result["by_participant"] = participant_accuracy(chosen)
-        labels = given.pivot(index=["event", "who"], columns="question", values="label")
+        # of graded answers the label with the largest share
+        leading = given.sort_values("value", ascending=False, kind="stable")
+        leading = leading.drop_duplicates(["event", "who", "question"])
+        labels = leading.pivot(index=["event", "who"], columns="question", values="label")
         rows = [(i, dict(row.dropna())) for (i, _), row in labels.iterrows()]
         scenario_of_event = dict(
             zip((event.id for event in chosen), answers.scenarios, strict=True)
@@ -551,11 +554,14 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     """
     judged = [(event, Judgments.of(event)) for event in events if event.truth is not None]
     known = [event for event, one in judged if one is not None and one.responses]
-    world, rows = world_of(events), Answers.of(known, {}).rows
+    world, rows = world_of(events), Answers.of(known, {}).whole
     given = responses_of(known)
-    given = pd.DataFrame(columns=["event", "who", "question", "label"]) if given is None else given
+    columns = ["event", "who", "question", "label", "value"]
+    given = pd.DataFrame(columns=columns) if given is None else given
     table = given.merge(rows[rows["truth"] == 1], on=["event", "question"])
-    table["right"] = (table["label_x"] == table["label_y"]).astype(float)
+    right = table["value"].where(table["label_x"] == table["label_y"], 0.0).astype(float)
+    keys = ["event", "who", "kind", "question", "part"]
+    table = table.assign(right=right).groupby(keys, sort=False)["right"].sum().reset_index()
     people = table["who"].unique()
     found: dict[Place, Any] = {("n_participants",): len(people)}
     parts = dict.fromkeys(path for kind in PREFIX for path in parts_of(world, kind))

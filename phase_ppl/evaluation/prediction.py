@@ -7,7 +7,7 @@ import functools
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,13 +15,23 @@ from numpy.typing import ArrayLike, NDArray
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.data.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, check_name, instance_of, shown, unknown_name
-from phase_ppl.world.event import Event
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    check_name,
+    instance_of,
+    nonnegative_number,
+    shown,
+    unknown_name,
+)
+from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import Printed, bars, plain, wrapped
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import space_of
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.event_posterior import EventPosterior
 
 _SUM_TOLERANCE: Final = 1e-3
 _COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries", "searches")
@@ -95,6 +105,10 @@ class Prediction(Printed):
             model has no posterior.
         decided: whether the event is decided, by the posterior's ``diagnostics()``; None: the model
             has no posterior.
+        moments: seconds of the film -> question -> probabilities given the film until then, where
+            people judged at these moments.
+        hindsight: that ``moments`` are in hindsight, in words
+            (:meth:`phase_ppl.Posterior.over_time`); "": they are not.
 
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.
@@ -112,6 +126,8 @@ class Prediction(Printed):
     world: World = PHASE
     sure: Mapping[str, bool] = dataclasses.field(default_factory=dict)
     decided: bool | None = None
+    moments: Mapping[float, Mapping[str, FloatArray]] = dataclasses.field(default_factory=dict)
+    hindsight: str = ""
 
     def __post_init__(self) -> None:
         for question in {**self.probabilities, **self.answers, **self.errors, **self.sure}:
@@ -135,8 +151,16 @@ class Prediction(Printed):
                     f"{question} has errors {shown(self.errors[question])}, expected "
                     f"{len(probabilities[question])} numbers >= 0 or NaN"
                 )
+        moments = {
+            float(at): {
+                question: _distribution(question, values, labels_of(question, self.world))
+                for question, values in given.items()
+            }
+            for at, given in sorted(self.moments.items())
+        }
         for name, checked in (
-            ("errors", errors), ("probabilities", probabilities), ("answers", answers)
+            ("errors", errors), ("probabilities", probabilities), ("answers", answers),
+            ("moments", moments),
         ):  # fmt: skip
             object.__setattr__(self, name, checked)
 
@@ -193,6 +217,10 @@ class Prediction(Printed):
             raise InvalidEventError(f"the answer is empty: {_one_of(world)} is needed")
         return found
 
+    def at(self, moment: float) -> Prediction:
+        """Return what was answered at a moment of the film; nothing where it is not known."""
+        return Prediction(self.event_id, self.moments.get(moment, {}), world=self.world)
+
     @property
     def _of_event(self) -> dict[str, bool]:
         """What is known of the event as a whole, by name."""
@@ -229,6 +257,10 @@ class Prediction(Printed):
             {q: dict(zip(labels[q], plain(values), strict=True)) for q, values in given.items()}
             for given in (self.probabilities, self.errors)
         )
+        moments = [
+            {"at": at, **{q: _possible(labels[q], values) for q, values in given.items()}}
+            for at, given in self.moments.items()
+        ]
         return {
             "event": self.event_id,
             "probabilities": probabilities,
@@ -237,6 +269,7 @@ class Prediction(Printed):
             "cost": dict(self.cost),
             **({"sure": dict(self.sure)} if self.sure else {}),
             **self._of_event,
+            **({"moments": moments, "hindsight": self.hindsight} if moments else {}),
         }
 
     @classmethod
@@ -268,6 +301,14 @@ class Prediction(Printed):
             world=world,
             sure=given["sure"],
             decided=given.get("decided"),
+            moments={
+                nonnegative_number("at", one.pop("at", None)): {
+                    question: probabilities_of(question, shares, world)
+                    for question, shares in one.items()
+                }
+                for one in map(dict, given.get("moments") or ())
+            },
+            hindsight=given.get("hindsight") or "",
         )
 
     def __str__(self) -> str:
@@ -289,9 +330,32 @@ class Prediction(Printed):
         return f"<Prediction of {self.event_id}: {', '.join(self.answers.values())}>"
 
 
+def until_moments(
+    post: EventPosterior, moments: Sequence[float]
+) -> tuple[dict[float, dict[str, FloatArray]], str]:
+    """Return seconds of the film -> question -> probabilities, and :attr:`Prediction.hindsight`."""
+    found = post.over_time()
+    last, hindsight = found.sizes["time"] - 1, found.attrs.get("hindsight", "")
+    frames = {at: min(int(at / SHOWN_SECONDS_PER_FRAME + 1e-6), last) for at in moments}
+    tables = {
+        question: found[question].sel({f"{question}_is": list(labels)}).values
+        for question, labels in questions_of(post.world).items()
+    }
+    of_moments = {
+        at: {question: table[frame] for question, table in tables.items()}
+        for at, frame in frames.items()
+    }
+    return of_moments, str(hindsight)
+
+
 def _one_of(world: World) -> str:
     *others, last = questions_of(world)
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def _possible(labels: Sequence[str], values: FloatArray) -> dict[str, float]:
+    """Return answer -> probability, of those that have any."""
+    return {one: float(p) for one, p in zip(labels, values, strict=True) if p > 0}
 
 
 def probabilities_of(
@@ -354,7 +418,10 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
 
 # --- of other models, as files of events carry them -----------------------------------------------
 
-_FIELDS: Final = ("probabilities", "errors", "answers", "cost", "sure", "decided", "event")
+_FIELDS: Final = (
+    *("probabilities", "errors", "answers", "cost", "sure", "decided", "event"),
+    *("moments", "hindsight"),
+)
 _SHORT: Final = ("goals", "relation", "goal_probs", "relation_probs")
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final
+from types import MappingProxyType
+from typing import Annotated, Any, Final, TypeAlias, cast
 
 import msgspec
 import numpy as np
@@ -25,8 +27,18 @@ MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")
 """What may be all that is known of people: the authors' pickles have the majority only."""
 
+_SUM_TOLERANCE: Final = 1e-3  # of the shares of a graded answer
+
 _People = Annotated[int, msgspec.Meta(ge=0, le=MAX_RATINGS)]
 _Votes = dict[str, dict[str, _People] | None]
+_Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+_Seconds = Annotated[float, msgspec.Meta(ge=0)]
+
+Given: TypeAlias = str | Mapping[str, float]
+"""An answer: a label, or of a graded one label -> share, sum 1."""
+
+Rows: TypeAlias = Mapping[str, Mapping[str, Given]]
+"""Participant -> question -> answer."""
 
 
 class _Record(msgspec.Struct):
@@ -35,7 +47,7 @@ class _Record(msgspec.Struct):
     counts: _Votes | None = None
     relation_counts: dict[str, _People] | None = None
     goal_counts: _Votes | None = None
-    responses: list[dict[str, str | None]] | None = None
+    responses: list[dict[str, str | _Seconds | dict[str, _Share] | None]] | None = None
     n_raters: _People | None = None
 
 
@@ -44,16 +56,21 @@ class Judgments:
     """People's judgments of one event. What nobody answered is absent.
 
     Attributes:
-        counts: question -> ratings for its answers, in label order.
+        counts: question -> ratings for its answers, in label order. A graded answer, such as a
+            slider for every label, is one rating divided among them.
         n_raters: people who answered at least one question.
-        responses: participant -> question -> answer; empty where only counts are known.
+        responses: participant -> question -> answer, a label or label -> share; empty where only
+            counts are known.
         world: of the event; it has the questions and their answers.
+        moments: seconds of the film -> judgments when the film had come so far, in order. All
+            others are of the whole film.
     """
 
-    counts: Mapping[str, IntArray]
+    counts: Mapping[str, IntArray | FloatArray]
     n_raters: int
-    responses: Mapping[str, Mapping[str, str]] = dataclasses.field(default_factory=dict)
+    responses: Rows = dataclasses.field(default_factory=dict)
     world: World = PHASE
+    moments: Mapping[float, Judgments] = dataclasses.field(default_factory=dict)
 
     def distribution(self, question: str) -> FloatArray | None:
         """Return the share of each answer among those given (paper, Appendix 5); None if none."""
@@ -90,27 +107,32 @@ class Judgments:
 
     @classmethod
     def of_responses(
-        cls, responses: Mapping[str, Mapping[str, str]], world: World = PHASE
+        cls,
+        responses: Rows,
+        world: World = PHASE,
+        moments: Mapping[float, Rows] = MappingProxyType({}),
     ) -> Judgments:
         """Count the ratings in participant -> question -> answer; who answered nothing is no rater.
 
+        ``moments`` has the same for seconds of the film.
+
         Raises:
             UnknownNameError: there is no such question or answer.
+            InvalidEventError: the shares of a graded answer do not sum to 1.
         """
         given = {
-            who: {
-                question: checked_answer(question, answer, world)
-                for question, answer in row.items()
-            }
+            who: {question: _checked(question, one, world) for question, one in row.items()}
             for who, row in responses.items()
             if row
         }
         counts = {}
         for question, labels in questions_of(world).items():
-            ratings = [labels.index(row[question]) for row in given.values() if question in row]
-            if ratings:
-                counts[question] = np.bincount(ratings, minlength=len(labels)).astype(np.int64)
-        return cls(counts, len(given), given, world)
+            said = [row[question] for row in given.values() if question in row]
+            if said:
+                counts[question] = np.sum([votes_for(one, labels) for one in said], axis=0)
+        later = {at: cls.of_responses(moments[at], world) for at in sorted(moments)}
+        people = {*given, *(who for one in later.values() for who in one.responses)}
+        return cls(counts, len(people), given, world, {a: o for a, o in later.items() if o.counts})
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], world: World = PHASE) -> Judgments | None:
@@ -118,8 +140,9 @@ class Judgments:
 
         Fields: ``counts`` {question: {answer: ratings}}, for which ``relation_counts`` {relation:
         ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, ``n_raters``, and
-        ``responses``, a list of objects with ``participant`` and answers to the questions. All are
-        optional, answers without ratings may be left out, fields of other names (such as
+        ``responses``, a list of objects with ``participant`` and answers to the questions: a label,
+        or {label: share}. With ``at``, seconds of the film, they are not counted in ``counts``. All
+        are optional, answers without ratings may be left out, fields of other names (such as
         ``majority``) are not read. Goals are effective goals.
 
         Raises:
@@ -148,33 +171,43 @@ class Judgments:
                 counts[question] = values
         found = cls(counts, 0, world=world)
         if given.responses is not None:
-            found = cls.of_responses(_by_participant(given.responses), world)
+            rows = _by_participant(given.responses)
+            found = cls.of_responses(rows.pop(None, {}), world, cast("Any", rows))
+            graded = {q for q, of_question in found.counts.items() if of_question.dtype == float}
             for question, values in counts.items():
-                if not np.array_equal(values, found.counts.get(question, ())):
+                if question not in graded and not np.array_equal(
+                    values, found.counts.get(question, ())
+                ):
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
-        totals, n_raters = [int(values.sum()) for values in found.counts.values()], given.n_raters
-        most = max(totals, default=0)
-        if n_raters is not None and not most <= n_raters <= sum(totals):
+        totals = [round(float(values.sum())) for values in found.counts.values()]
+        most, n_raters = max(totals, default=0), given.n_raters
+        if n_raters is not None and not found.moments and not most <= n_raters <= sum(totals):
             raise InvalidEventError(
                 f"n_raters is {n_raters}, but there are {most} votes on a question, {sum(totals)} "
                 "in all"
             )
-        if found.responses and n_raters not in (None, found.n_raters):
+        named = bool(found.responses or found.moments)
+        if named and n_raters not in (None, found.n_raters):
             raise InvalidEventError(
                 f"n_raters is {n_raters}, but {found.n_raters} people responded"
             )
-        if not found.responses:
+        if not named:
             found = dataclasses.replace(found, n_raters=most if n_raters is None else n_raters)
-        return found if totals else None
+        return found if totals or found.moments else None
 
     def to_record(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
         labels = questions_of(self.world)
+        whole = {q: ratings for q, ratings in self.counts.items() if ratings.dtype != float}
         given = {
             question: {a: n for a, n in zip(labels[question], ratings.tolist(), strict=True) if n}
-            for question, ratings in self.counts.items()
+            for question, ratings in whole.items()
         }
-        rows = [{"participant": who, **row} for who, row in self.responses.items()]
+        rows = [
+            {"participant": who, **({} if at is None else {"at": at}), **row}
+            for at, one in [(None, self), *self.moments.items()]
+            for who, row in one.responses.items()
+        ]
         return {
             "n_raters": self.n_raters,
             "counts": given,
@@ -182,13 +215,51 @@ class Judgments:
         }
 
 
-def _by_participant(listed: Sequence[Mapping[str, str | None]]) -> dict[str, dict[str, str]]:
-    rows: dict[str, dict[str, str]] = {}
+def moments_of(event: Event) -> tuple[float, ...]:
+    """Return the seconds of the film at which people judged an event."""
+    judged = Judgments.of(event)
+    return () if judged is None else tuple(judged.moments)
+
+
+def votes_for(answer: Given, labels: Sequence[str]) -> IntArray | FloatArray:
+    """Return (label,) the rating of one answer, which sums to 1."""
+    if isinstance(answer, str):
+        return np.array([label == answer for label in labels], np.int64)
+    return np.array([answer.get(label, 0.0) for label in labels])
+
+
+def _checked(question: str, answer: Given, world: World) -> Given:
+    """Return an answer as the labels spell it; of a graded one, those with a share."""
+    if isinstance(answer, str):
+        return checked_answer(question, answer, world)
+    labels_of(question, world)
+    if not isinstance(answer, Mapping):
+        raise InvalidEventError(f"{question} is {shown(answer)}, expected an answer or its shares")
+    shares = {checked_answer(question, label, world): p for label, p in answer.items() if p}
+    if abs(math.fsum(shares.values()) - 1) > _SUM_TOLERANCE:
+        total = math.fsum(shares.values())
+        raise InvalidEventError(f"{question} has shares of sum {total:.4g}, expected 1")
+    return shares
+
+
+def _by_participant(
+    listed: Sequence[Mapping[str, Any]],
+) -> dict[float | None, dict[str, dict[str, Given]]]:
+    """Return seconds of the film (None: all of it) -> participant -> question -> answer."""
+    rows: dict[float | None, dict[str, dict[str, Given]]] = {}
     for index, entry in enumerate(listed):
-        who = entry.get("participant") or ""
-        if not who.strip():
-            raise InvalidEventError(f"responses[{index}] has the participant {shown(who)}")
-        if who in rows:
+        with in_front(f"responses[{index}]"):
+            who, at = entry.get("participant") or "", entry.get("at")
+            if not (isinstance(who, str) and who.strip()):
+                raise InvalidEventError(f" has the participant {shown(who)}")
+            if not isinstance(at, float | int | None):
+                raise InvalidEventError(f" has the moment {shown(at)}, expected seconds")
+        of_moment = rows.setdefault(None if at is None else float(at), {})
+        if who in of_moment:
             raise InvalidEventError(f"responses names the participant {shown(who)} twice")
-        rows[who] = {q: answer for q, answer in entry.items() if answer and q != "participant"}
+        of_moment[who] = {
+            question: answer
+            for question, answer in entry.items()
+            if answer and question not in ("participant", "at")
+        }
     return rows

@@ -100,7 +100,9 @@ def true_scenario(event: Event) -> str | None:
 
 
 _NAMES: Final = ("event", "kind", "question", "part", "label")
-_NUMBERS: Final = ("votes", "people", "truth", "answer", "probability", "error", "sure", "decided")
+_NUMBERS: Final = (
+    *("at", "votes", "people", "truth", "answer", "probability", "error", "sure", "decided"),
+)
 
 
 class Answers:
@@ -110,10 +112,11 @@ class Answers:
         events: which it is about, of one world, in order.
         world: of the events.
         rows: the tidy table; events, questions and labels are in order. Columns are ``event``,
-            ``kind`` of question, ``question``, ``part`` of the metrics, ``label``; people's
-            ``votes`` for it and their share ``people``; ``truth``; the model's ``answer``, its
-            ``probability`` and ``error``; and whether the question is ``sure`` and the event
-            ``decided``. All but names are numbers: truth and verdicts 1 or 0, NaN: unknown.
+            ``kind`` of question, ``question``, ``part`` of the metrics, ``label``; ``at``, seconds
+            of the film (NaN: all of it); people's ``votes`` for it and their share ``people``;
+            ``truth``; the model's ``answer``, its ``probability`` and ``error``; and whether the
+            question is ``sure`` and the event ``decided``. All but names are numbers: truth and
+            verdicts 1 or 0, NaN: unknown.
     """
 
     def __init__(
@@ -124,33 +127,50 @@ class Answers:
     @classmethod
     def of(cls, events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Answers:
         """Return what is said of events; a model's columns are NaN where it has no prediction."""
-        rows: list[dict[str, Any]] = []
+        columns: dict[str, list[Any]] = {name: [] for name in (*_NAMES, *_NUMBERS)}
         for event in events:
-            truth, judgments = true_answers(event), Judgments.of(event)
-            counts = {} if judgments is None else judgments.counts
+            truth, judged = true_answers(event), Judgments.of(event)
             made = predictions.get(event.id) or Prediction(event.id, world=event.scene.world)
-            for kind, questions in kinds_of(event.scene.world).items():
-                for place, question in enumerate(questions):
-                    labels = made.questions[question]
-                    votes = counts.get(question, np.zeros(len(labels), np.int64))
-                    found = {
-                        "votes": votes,
-                        "people": votes / votes.sum() if question in counts else None,
-                        "truth": _marked(labels, truth.get(question)),
-                        "answer": _marked(labels, made.answers.get(question)),
-                        "probability": made.probabilities.get(question),
-                        "error": made.errors.get(question),
-                    }
-                    of_question = {
-                        **{"event": event.id, "kind": kind, "question": question},
-                        "part": part_of(event, kind, place),
-                        **{"sure": made.sure.get(question), "decided": made.decided},
-                    }
-                    for row, label in enumerate(labels):
-                        numbers = {name: None if v is None else v[row] for name, v in found.items()}
-                        rows.append({**of_question, "label": label, **numbers})
-        table = pd.DataFrame(rows, columns=[*_NAMES, *_NUMBERS])
-        return cls(events, table.astype(dict.fromkeys(_NUMBERS, np.float64)))
+            moments = {} if judged is None else judged.moments
+            for at, given in [(None, judged), *moments.items()]:
+                counts = {} if given is None else given.counts
+                said = made if at is None else made.at(at)
+                for kind, questions in kinds_of(event.scene.world).items():
+                    for place, question in enumerate(questions):
+                        labels = made.questions[question]
+                        votes = counts.get(question, np.zeros(len(labels), np.int64))
+                        found: dict[str, Any] = {
+                            **{"event": event.id, "kind": kind, "question": question},
+                            **{"part": part_of(event, kind, place), "label": list(labels)},
+                            **{"at": at, "votes": votes},
+                            "people": votes / votes.sum() if question in counts else None,
+                            "truth": _marked(labels, truth.get(question)),
+                            "answer": _marked(labels, said.answers.get(question)),
+                            "probability": said.probabilities.get(question),
+                            "error": said.errors.get(question),
+                            **{"sure": said.sure.get(question), "decided": said.decided},
+                        }
+                        for name, value in found.items():
+                            alone = value is None or isinstance(value, str | bool | float)
+                            columns[name] += [value] * len(labels) if alone else list(value)
+        rows = pd.DataFrame(columns, dtype=None if events else object)
+        return cls(events, rows.astype(dict.fromkeys(_NUMBERS, np.float64)))
+
+    @functools.cached_property
+    def whole(self) -> pd.DataFrame:
+        """The rows about the whole film."""
+        return self.rows[self.rows["at"].isna()]
+
+    @functools.cached_property
+    def moments(self) -> tuple[float, ...]:
+        """Seconds of the film at which people judged some event, in order."""
+        return tuple(sorted(self.rows["at"].dropna().unique().tolist()))
+
+    def at(self, moment: float) -> Answers:
+        """Return it about a moment of the film, of the events that people judged then."""
+        rows = self.rows[self.rows["at"] == moment].assign(at=np.nan)
+        ids = set(rows["event"])
+        return Answers([e for e in self.events if e.id in ids], rows, self.world)
 
     def about(self, ids: Collection[str]) -> Answers:
         """Return it about some of the events only."""
@@ -165,9 +185,12 @@ class Answers:
         return Answers(self.events, rows, self.world)
 
     def array(self, kind: str, column: str, of: type = np.float64) -> FloatArray:
-        """Return (event, question, label) a column's values for a kind of questions."""
+        """Return (event, question, label) a column's values for a kind of questions.
+
+        They are about the whole film.
+        """
         n_labels = len(self.world.goals if kind == "goal" else RELATIONS)
-        values = self.rows.loc[self.rows["kind"] == kind, column].to_numpy(of)
+        values = self.whole.loc[self.whole["kind"] == kind, column].to_numpy(of)
         return values.reshape(len(self.events), len(kinds_of(self.world)[kind]), n_labels)
 
     def parts(self, kind: str) -> dict[Place, BoolArray]:
@@ -203,21 +226,31 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
     return [event for event in events if event.id in predictions]
 
 
-def responses_of(events: Iterable[Event]) -> pd.DataFrame | None:
-    """Return who said what: a row of ``event``, ``who``, ``question``, ``label`` per response.
+def responses_of(events: Iterable[Event], at: float | None = None) -> pd.DataFrame | None:
+    """Return who said what: a row of ``event``, ``who``, ``question``, ``label`` and ``value``.
 
-    None if it is unknown for some judged event, or no event was judged.
+    A label has the value 1, a graded answer a row for each label that has a share, with that value.
+    They are about the whole film, or about it up to a moment. None if it is unknown for some judged
+    event, or no event was judged.
     """
-    judged = [(event.id, one) for event in events if (one := Judgments.of(event)) is not None]
+    found = [(event.id, Judgments.of(event)) for event in events]
+    judged = [(event, one) for event, whole in found if (one := _until(whole, at)) is not None]
     if not judged or not all(one.responses for _, one in judged):
         return None
     rows = [
-        (event, who, question, label)
+        (event, who, question, label, value)
         for event, one in judged
         for who, row in one.responses.items()
-        for question, label in row.items()
+        for question, answer in row.items()
+        for label, value in ({answer: 1.0} if isinstance(answer, str) else answer).items()
     ]
-    return pd.DataFrame(rows, columns=["event", "who", "question", "label"])
+    return pd.DataFrame(rows, columns=["event", "who", "question", "label", "value"])
+
+
+def _until(judged: Judgments | None, at: float | None) -> Judgments | None:
+    """Return judgments of the whole film, or up to a moment; None where there are none."""
+    found = judged if judged is None or at is None else judged.moments.get(at)
+    return found if found is not None and found.counts else None
 
 
 def places_of_scenarios(names: Iterable[str | None]) -> IntArray:
@@ -315,7 +348,7 @@ def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     found = {}
     for event in events:
         judgments = Judgments.of(event)
-        if judgments is not None:
+        if judgments is not None and judgments.counts:
             shares = {q: ratings / ratings.sum() for q, ratings in judgments.counts.items()}
             found[event.id] = Prediction(event.id, shares, world=event.scene.world)
     return found

@@ -205,6 +205,19 @@ class Observation:
         """(time, entity): radians."""
         return self.trajectory[..., 2]
 
+    def until(self, seconds: float) -> Observation:
+        """Return what the film has shown after so many of its seconds, at least two frames.
+
+        Frames between two are drawn in the film, but come from both of them.
+        """
+        shown = math.floor(seconds / SHOWN_SECONDS_PER_FRAME + 1e-6) + 1
+        return Observation(self.trajectory[: max(shown, MIN_FRAMES)])
+
+    @property
+    def film_seconds(self) -> float:
+        """Duration of the film."""
+        return (self.n_frames - 1) * SHOWN_SECONDS_PER_FRAME
+
     @property
     def duration(self) -> str:
         """The duration, in words."""

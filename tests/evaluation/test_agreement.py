@@ -6,17 +6,19 @@ import itertools
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import entropy, pearsonr
 
 from phase_ppl.evaluation.bootstrap import correlation, resampled
-from phase_ppl.evaluation.doubt import jensen_shannon, same_truth, split_half
+from phase_ppl.evaluation.doubt import jensen_shannon, rows_of, same_truth, split_half
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.judged import (
     BLUE_TO_GREEN,
     BLUE_TO_RED,
@@ -170,7 +172,12 @@ def test_differences_of_agreement_are_paired() -> None:
 
 def split(votes: list[list[int]], chosen: Any = None, splits: int = 4000) -> float:
     """Return r of halves of votes (video, relation), or of people (who, video) with choices."""
-    people = None if chosen is None else np.array(chosen)[..., None]
+    people = None
+    if chosen is not None:
+        said = [(v, who, "relation", RELATIONS[answer], 1.0)
+                for who, row in enumerate(chosen) for v, answer in enumerate(row)]  # fmt: skip
+        given = pd.DataFrame(said, columns=["event", "who", "question", "label", "value"])
+        people = rows_of(given, range(len(votes)), ["relation"])
     counts = np.array(votes, int).reshape(len(votes), 1, 3)
     return float(split_half(counts, np.ones((1, len(votes))), people, splits=splits)[0][0])
 

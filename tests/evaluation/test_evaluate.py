@@ -219,7 +219,7 @@ def test_the_tidy_table_has_a_row_per_event_question_and_label() -> None:
         **dict.fromkeys(("event", "question", "label", "model"), table["event"].dtype.name),
         **{"probability": "float64", "error": "float64", "answer": "bool"},
         **dict.fromkeys(("truth", "sure", "decided"), "boolean"),
-        **{"people": "float64", "n": "int64"},
+        **{"people": "float64", "n": "int64", "at": "float64"},
     }
     relation = table[(table["event"] == "a") & (table["question"] == "relation")]
     assert relation["label"].tolist() == ["friendly", "neutral", "adversarial"]

@@ -11,12 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.judgments import load_judgments, with_judgments
 from phase_ppl.evaluation.ratings import Judgments
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    UnknownNameError,
+)
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
     AWAY_FROM_RED,
@@ -48,11 +54,22 @@ def write(folder: Path, content: str | bytes, name: str = "study.csv") -> Path:
 def test_study_holds_what_the_file_says_and_shares_of_those_who_answered(tmp_path: Path) -> None:
     study = ppl.load_judgments(write(tmp_path, STUDY), EVENTS)
     assert study.participants == ("p01", "p02", "p03")
-    assert list(study.table.columns) == HEADER.split(",")
-    first = ["p01", "a", BLUE_TO_RED, BLUE_TO_RED, "friendly", 12.4]
-    assert study.table.loc[0].tolist() == first
-    assert study.table.loc[2, "goal_green"] is None
-    assert math.isnan(study.table.loc[2, "response_time"])
+    tidy = ["participant", "event", "question", "answer", "value", "at", "response_time"]
+    assert list(study.table.columns) == tidy
+    of_one = study.table[study.table["event"] == "a"].groupby("participant")
+    assert of_one["question"].apply(list).to_dict() == {
+        "p01": ["goal_red", "goal_green", "relation"],
+        "p02": ["goal_red", "relation"],  # an empty cell is no answer
+        "p03": ["relation"],
+    }
+    first = ["p01", "a", "goal_red", BLUE_TO_RED, 1.0]
+    assert study.table.loc[0].tolist()[:5] == first
+    assert (study.table["at"].isna()).all()
+    np.testing.assert_equal(of_one["response_time"].first().tolist(), [12.4, math.nan, 3.0])
+    assert str(study).splitlines() == [
+        "2 events, 3 participants, 9 answers (goal_red 3, goal_green 2, relation 4)",
+        "rows left out: 1 without an answer",
+    ]
     judgments = study.judgments["a"]
     assert judgments.n_raters == 3
     assert judgments.counts["relation"].tolist() == [2, 1, 0]
@@ -82,6 +99,10 @@ CHANGES: list[Callable[[str], str]] = [
     lambda text: text.replace(",", " , "),
     lambda text: text.replace("friendly", "Friendly").replace("Get", "get"),
     lambda text: text.replace("p01", '"p01"').rstrip(),
+    # a European Excel, and Excel's text in Unicode
+    lambda text: text.replace(".", "#").replace(",", ";").replace("#", ","),
+    lambda text: text.replace(",", "\t"),
+    lambda text: text.replace(",,", ",NA,").replace(",\n", ",n/a\n"),
 ]
 
 
@@ -99,7 +120,6 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
     [
         ("", "study.csv: is empty"),
         (HEADER, "study.csv: holds no judgments"),
-        (HEADER.replace(",", ";"), "line 1: is 'participant;video.*separated by commas"),
         (HEADER.replace("goal_red", "goal_rde"), "line 1: unknown column.*'goal_red'"),
         (HEADER.replace("goal_red", "video"), "line 1: names the column video twice"),
         (HEADER.replace("participant,", ""), "line 1: names no column participant"),
@@ -108,7 +128,10 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
             "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
         ),
         ("participant,video,response_time", "line 1: names none of the columns goal_red"),
-        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: has participant 'p01', video 'a' a second time"),
+        (
+            f"{HEADER}\n{ROW}\n{ROW}",
+            "line 3: has participant 'p01', video 'a' a second time, after line 2; repeated=",
+        ),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
         (f"{HEADER}\np\x1b[2J,a,,,friendly,", "line 2: participant is 'p.*printable"),
         *(
@@ -142,15 +165,15 @@ def test_bad_file_is_refused_with_its_line(
     ("content", "messages"),
     [
         (
-            "participant,video,relation,goal_rde,\n",
-            ["line 1: unknown column 'goal_rde'", "; has a column without a name"],
+            "participant,video,goal_rde,relatoin,\n",
+            ["line 1: unknown column 'goal_rde'", "; unknown column 'relatoin'"],
         ),
         (
-            f"{HEADER}\n{ROW}\np02,a,NA,,foe,soon\n{ROW}\n{ROW}",
+            f"{HEADER}\n{ROW}\np02,a,flee,,foe,soon\n{ROW}\n{ROW}",
             [
-                "line 3: goal_red: NA, expected an empty cell",
+                "; goal_red: unknown goal 'flee'",
                 "; relation: unknown relation 'foe'",
-                "; response_time is 'soon'",
+                "line 3: response_time is 'soon'",
                 "; line 4: has participant 'p01', video 'a' a second time",
                 "; line 5: has",
             ],
@@ -189,6 +212,187 @@ def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None
     with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'; did you mean 'aa'"):
         load_judgments(path, events)
     assert set(load_judgments(path).judgments) == {"a", "b"}
+
+
+# --- files as other programs leave them, and graded answers ------------------------------------
+
+
+SLIDERS = "participant,video,friendly,neutral,adversarial"
+LEFT: dict[str, tuple[str, dict[str, Any], str]] = {
+    "pandas, index": (",participant,video,relation\n0,p,a,friendly\n", {}, ""),
+    "a further column": (
+        "participant,video,relation,condition\np,a,friendly,A\n", {}, "kept as they are: condition"
+    ),
+    "Excel, empty columns": ("participant,video,relation,,\np,a,friendly,,\n", {}, ""),
+    "R, missing": ("participant,video,goal_red,relation\np,a,NA,friendly\n", {}, ""),
+    "R, names of rows": ('"participant","video","relation"\n"1","p","a","friendly"\n', {}, ""),
+    "a reload": (
+        "participant,video,relation\np,a,friendly\np,a,neutral\n", {"repeated": "first"},
+        "rows left out: 1 repeated (the first counts)",
+    ),
+    "a reload, the last": (
+        "participant,video,relation\np,a,neutral\np,a,friendly\n", {"repeated": "last"},
+        "rows left out: 1 repeated (the last counts)",
+    ),
+    "jsPsych": (
+        'rt,stimulus,response,trial_type,participant\n812,,"{""agree"":true}",text,p\n'
+        '12400,a,"{""relation"":""friendly""}",page,p\n',
+        {"names": {"stimulus": "video", "trial_type": None}},
+        "response_time was read as milliseconds, as its median is 12400; milliseconds=False reads "
+        "it as seconds\nrows left out: 1 without an answer",
+    ),
+    "Qualtrics, a row per person": (
+        'ResponseId,Status,a_relation\nResponse ID,Status,How do they stand?\n'
+        '"{""ImportId"":""_id""}","{""ImportId"":""st""}","{""ImportId"":""QID1""}"\np,0,Friends\n',
+        {"names": {"ResponseId": "participant", "Friends": "friendly"}}, "kept as they are: Status",
+    ),
+    "a row per answer": (
+        "subject,event,question,answer\np,a,Relation,friendly\n",
+        {"names": {"subject": "participant"}}, "",
+    ),
+    "codes": (
+        "participant,video,relation,goal_red\np,7,1,-99\n",
+        {"names": {"7": "a", "1": "friendly"}, "na": ["-99"]}, "",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LEFT)
+def test_tables_are_read_as_other_programs_leave_them(tmp_path: Path, kind: str) -> None:
+    content, options, said = LEFT[kind]
+    study = load_judgments(write(tmp_path, content), EVENTS, **options)
+    assert study.table[["participant", "event", "question", "answer", "value"]].values.tolist() == [
+        ["p", "a", "relation", "friendly", 1.0]
+    ]
+    assert study.summary == said
+    if kind == "jsPsych":
+        assert study.table["response_time"].tolist() == [12.4]
+    if kind == "a further column":
+        assert study.table["condition"].tolist() == ["A"]
+
+
+def test_times_are_milliseconds_where_that_is_said_and_a_data_frame_is_a_table() -> None:
+    table = pd.DataFrame({"participant": ["p"], "video": ["a"], "relation": ["friendly"]})
+    table["response_time"] = 250.0
+    for said, seconds in ((None, 250.0), (True, 0.25), (False, 250.0)):
+        found = load_judgments(table, milliseconds=said).table
+        assert found["response_time"].tolist() == [seconds]
+    with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'"):
+        load_judgments(table, [make_event("b")])
+
+
+def test_sliders_are_distributions(tmp_path: Path) -> None:
+    rows = ["p1,a,70,20,10", "p2,a,50,,50", "p3,a,0,0,0", "p1,b,0,0,80"]
+    file = write(tmp_path, "\n".join([SLIDERS, *rows]))
+    study = load_judgments(file)
+    assert study.summary.splitlines() == [
+        "ratings were divided by their sum, answer by answer",
+        "rows left out: 1 graded answers of zeros only",
+    ]
+    judgments = study.judgments["a"]
+    assert judgments.counts["relation"] == pytest.approx([1.2, 0.2, 0.6])
+    assert judgments.distribution("relation") == pytest.approx([0.6, 0.1, 0.3])
+    assert judgments.n_raters == 2
+    assert study.judgments["b"].responses == {"p1": {"relation": "adversarial"}}
+    softmax = load_judgments(file, graded="softmax", temperature=20.0).judgments["a"]
+    shares = softmax.responses["p1"]["relation"]
+    masses = np.exp(np.array([70, 20, 10]) / 20)
+    assert list(shares.values()) == pytest.approx(masses / masses.sum())
+    # one and the same in the three forms of a table
+    long = "\n".join(
+        f"p1,a,relation,{label},{rating}"
+        for label, rating in zip(SLIDERS.split(",")[2:], (70, 20, 10), strict=True)
+    )
+    for text in (
+        f"participant,video,question,answer,value\n{long}",
+        "participant,a_friendly,a_neutral,a_adversarial\np1,70,20,10",
+        "participant;video;relation: friendly;Relation Neutral;relation..adversarial\n"
+        "p1;a;70,0;20%;10",
+    ):
+        one = load_judgments(write(tmp_path, text)).judgments["a"].responses["p1"]["relation"]
+        assert one == pytest.approx({"friendly": 0.7, "neutral": 0.2, "adversarial": 0.1})
+
+
+def test_temperature_is_fitted_to_what_others_chose() -> None:
+    """Those who choose alike are believed; the scale of the ratings does not matter."""
+    rng = np.random.default_rng(0)
+
+    def study(noise: float, scale: float = 1.0) -> ppl.Study:
+        logs = rng.normal(0, 1.0, (30, 1, 3)) + noise * rng.gumbel(size=(30, 8, 3))
+        ratings = scale * np.clip(50 + 8 * logs, 0, None).reshape(-1, 3)
+        table = pd.DataFrame(ratings, columns=SLIDERS.split(",")[2:])
+        table["participant"] = [f"p{n % 8}" for n in range(240)]
+        table["video"] = [f"v{n // 8}" for n in range(240)]
+        return load_judgments(table, graded="softmax")
+
+    def temperature(of: ppl.Study) -> float:
+        return float(re.search(r"temperature ([\d.]+) \(fitted", of.summary)[1])  # type: ignore[index]
+
+    certain, doubtful = temperature(study(0.3)), temperature(study(1.0))
+    assert certain < 8 < doubtful
+    rng = np.random.default_rng(1)
+    one = study(1.0)
+    rng = np.random.default_rng(1)
+    other = study(1.0, scale=3.0)
+    assert temperature(other) == pytest.approx(3 * temperature(one), rel=0.01)
+    np.testing.assert_allclose(one.table["value"], other.table["value"], atol=0.002)
+    with pytest.raises(InvalidSettingError, match="temperature=20 sets it"):
+        load_judgments(
+            pd.DataFrame([["p", "a", 1, 2, 3]], columns=SLIDERS.split(",")), graded="softmax"
+        )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (f"{SLIDERS}\np1,a,70,-3,0", "line 2: neutral is '-3', expected a number, such as 70"),
+        (f"{SLIDERS},relation\np1,a,7,2,1,friendly", "has an answer and ratings of relation"),
+        (f"{SLIDERS},Friendly\np1,a,7,2,1,3", "columns friendly and Friendly mean the same"),
+        (f"{SLIDERS}\np1,a,0,0,0", "holds no judgments: .*1 graded answers of zeros only"),
+        (
+            "participant,video,question\np,a,relation",
+            "names a column question, but no column answer",
+        ),
+        ("participant,relation\np,friendly", r"names no column video; names=.'stimulus': 'video'"),
+        ("participant,video,relation_why\np,a,so", r"unknown column.*'relation_why': None. leaves"),
+        (
+            "participant,video,question,answer\np,a,relation,neutral\np,a,relation,friendly",
+            "line 3: has participant 'p', video 'a', question 'relation' a second time",
+        ),
+    ],
+)
+def test_bad_ratings_and_columns_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    with pytest.raises(PhasePPLError, match=message):
+        load_judgments(write(tmp_path, content))
+
+
+def test_graded_answers_are_kept_in_events_and_scored_as_shares(tmp_path: Path) -> None:
+    """Two people who put 0.6 and 0.8 on the truth are right by 0.7."""
+    rows = ["p1,a,60,40,0", "p2,a,80,0,20", "p1,b,0,50,50", "p2,b,10,0,90"]
+    study = load_judgments(write(tmp_path, "\n".join([SLIDERS, *rows])))
+    events = with_judgments(EVENTS[:2], study)
+    ppl.save_events(events, tmp_path / "events.json")
+    again = ppl.load_events(tmp_path / "events.json")
+    for one, other in zip(events, again, strict=True):
+        np.testing.assert_allclose(
+            Judgments.of(one).counts["relation"], Judgments.of(other).counts["relation"]
+        )
+    assert Judgments.of(again[0]).responses["p2"]["relation"]["adversarial"] == 0.2
+    found = study.accuracy(events)["relation_accuracy"]
+    assert found["value"] == pytest.approx((0.6 + 0.5 + 0.8 + 0.9) / 4)
+    given = {"a": [0.7, 0.2, 0.1], "b": [0.05, 0.25, 0.7]}
+    made = {name: ppl.Prediction(name, {"relation": shares}) for name, shares in given.items()}
+    metrics = ppl.evaluate_predictions(again, made)
+    human, doubt = metrics["human"], metrics["doubt"]
+    assert human["relation_r"]["value"] == pytest.approx(1.0)
+    assert human["log_score"]["value"] < human["log_score_people"]["value"]
+    assert human["split_half_by"] == "participants"
+    one, two = [0.6, 0.4, 0, 0, 0.5, 0.5], [0.8, 0, 0.2, 0.1, 0, 0.9]
+    assert human["split_half_r"]["value"] == pytest.approx(np.corrcoef(one, two)[0, 1])
+    assert doubt["ceiling"]["one_out_r"] == pytest.approx(np.corrcoef(one + two, two + one)[0, 1])
+    # two people agree by the product of their shares
+    assert doubt["agreement"]["people"] == pytest.approx((0.6 * 0.8 + 0.5 * 0.9) / 2)
+    assert doubt["agreement"]["p"] is None
 
 
 # --- studies and events ------------------------------------------------------------------------

@@ -166,7 +166,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     scenarios = scenarios_of(results)
     clouds: dict[AnswerSet, pd.Series[int]] = {}
     for o in results.measured:
-        rows = Answers.of(results.events, o.predictions).rows
+        rows = Answers.of(results.events, o.predictions).whole
         rows = rows[(rows["kind"] == kind) & rows["people"].notna() & rows["probability"].notna()]
         if o.kind != "people" and len(rows):
             places = [(rows[n] / _POINT).round() * _POINT for n in ("people", "probability")]

@@ -72,7 +72,7 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
 
 def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, str], int]:
     """Return (kind, part) -> number of answered questions with known truth."""
-    rows = Answers.of(events, answers.predictions).rows
+    rows = Answers.of(events, answers.predictions).whole
     known = rows.groupby(["event", "question"], sort=False).first().reset_index()
     known = known[known["truth"].notna() & known["answer"].notna()]
     of_parts = known.groupby(["kind", "part"]).size().to_dict()
