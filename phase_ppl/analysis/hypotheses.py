@@ -186,7 +186,7 @@ class Hypotheses(Printed):
     def by_frame(self) -> xr.Dataset | None:
         """Return what each frame says of each pair of effective goals; None where it is not known.
 
-        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
+        It is known for the closed loop in PHASE: ``log_likelihood`` (time, goal_red,
         goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
         """
         return None
