@@ -97,7 +97,7 @@ def test_the_readmes_further_lines_sample_and_compare(
 ) -> None:
     shorten(monkeypatch, 7)
     closed_loop, sampled, _ = examples(README)
-    shown = closed_loop + sampled.replace("20_000)", "60), repeats=1")
+    shown = closed_loop + sampled.replace("20_000", "60").replace("=3", "=1").replace("1000", "15")
     printed = run_script(saved(shown, tmp_path))
     assert "posterior    collaborate: 15 particles x 6 iterations" in printed
     assert "reference: the exact sum over the table that the closed loop has read" in printed
