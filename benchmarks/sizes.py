@@ -79,7 +79,7 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
     ):
         x = [row[across] for row in of]
         for name, words, colour in (
-            ("frame_ms", "a frame read step by step, ms", COLOURS[0]),
+            ("frame_ms", "a frame of the closed loop, ms", COLOURS[0]),
             ("decision_ms", "a decision, ms", COLOURS[1]),
             ("searches", "searches for a frame", COLOURS[2]),
         ):

@@ -1,4 +1,4 @@
-"""Who wants what in `solo` and `trio`, read step by step or by simulations.
+"""Who wants what in `solo` and `trio`, by the closed loop or by simulations.
 
     python benchmarks/worlds.py [--world NAME] [--events N] [--planner-seeds N] [--out DIR]
         [--kernel local_mh --simulations 105]

@@ -1,4 +1,4 @@
-"""Your own simulator, sampled by a kernel as whole videos, and read step by step.
+"""Your own simulator, sampled by a kernel as whole videos, and in the closed loop.
 
 python examples/own_simulator.py
 """
@@ -78,7 +78,7 @@ def main() -> None:
     sampling = {"kernel": "importance", "chains": 20, "iterations": 10}
     for name, model, options in (
         ("200 whole videos", ppl.Model(few_goals, simulator), sampling),
-        ("step by step", stepwise, {}),
+        ("closed loop", stepwise, {}),
     ):
         clock = time.perf_counter()
         post = ppl.infer(event, model, workers=1, progress=False, **options)
@@ -86,7 +86,7 @@ def main() -> None:
         for question in (*GOALS, "relation"):
             print("  ", question, *post.top(question, 1)[0])
     found = post.over_time()["goal_red"].sel(goal_red_is=GOALS["goal_red"][1]).values
-    print("\nof red's goal, step by step, after 0, 1, 2, ... steps:", found[:8].round(2))
+    print("\nof red's goal, by the closed loop, after 0, 1, 2, ... steps:", found[:8].round(2))
 
 
 if __name__ == "__main__":

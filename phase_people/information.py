@@ -391,7 +391,7 @@ class Design:
             f"answers at random with probability {self.lapse:g}\n"
         )
         table = self.table.head(_LISTED)
-        text = table.to_string(float_format=lambda number: f"{number:.3f}", na_rep="?")
+        text = table.to_string(float_format=lambda number: f"{number:.3f}", na_rep="unknown")
         rest = len(self.events) - len(table)
         return f"{head}\n{text}" + (f"\n... and {rest} less telling ones" if rest else "")
 

@@ -375,9 +375,9 @@ class TestQuery:
             "  0.25 ± 0.25  get to green agent",
             "mode relation = friendly (another leads with probability 0.2)",
             "H(goal_red, goal_green) = 0.6 ± 0.5",
-            "hdi strength_red = 300 ± ? to 300 ± ?",
+            "hdi strength_red = 300 ± unknown to 300 ± unknown",
             "top 1 relation|goal_red=get to green agent:",
-            "  1 ± ?  neutral",
+            "  1 ± unknown  neutral",
         ]
 
     def test_json_is_the_same_as_plain_data(self, folder: Path, capsys: Capture) -> None:

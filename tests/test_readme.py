@@ -44,7 +44,7 @@ def test_all_pages_with_examples_are_known() -> None:
         "many_events": 1,
     }
     notebooks = "closed_loop design diagnostics films first_posterior how_it_works making_events"
-    notebooks += " own_kernel own_prior own_simulator queries what_if worlds"
+    notebooks += " own_kernel own_prior own_simulator own_video queries what_if worlds"
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
 
@@ -52,6 +52,15 @@ def test_links_lead_to_files_that_are_there() -> None:
     for page in (README, *PAGES):
         for link in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
             assert link.startswith("http") or (page.parent / link).exists(), (page, link)
+
+
+def labels(printed: str) -> set[str]:
+    """Return what stands in the first column of a printed posterior."""
+    return {line[:13].strip() for line in printed.splitlines()}
+
+
+def checks(printed: str) -> list[str]:
+    return re.findall(r"^.{13}[+!x?] (.{24})", printed, re.MULTILINE)
 
 
 def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
@@ -74,7 +83,10 @@ def test_the_readmes_first_lines_print_a_posterior_and_write_its_files(
 ) -> None:
     shorten(monkeypatch, 7)
     printed = run_script(saved(examples(README)[0], tmp_path))
-    assert "posterior    collaborate: read step by step, 7 frames" in printed
+    assert "posterior    collaborate: closed loop, 7 frames" in printed
+    (shown,) = re.findall(r"```text\n(.*?)```", README.read_text("utf-8"), re.DOTALL)
+    assert labels(shown) <= labels(printed)
+    assert checks(shown) == checks(printed)
     for name in ("run.nc", "run.png"):
         assert (tmp_path / name).stat().st_size > 1000
 
@@ -85,7 +97,7 @@ def test_the_readmes_further_lines_sample_and_compare(
 ) -> None:
     shorten(monkeypatch, 7)
     closed_loop, sampled, _ = examples(README)
-    shown = closed_loop + sampled.replace("20_000)", "60), repeats=1")
+    shown = closed_loop + sampled.replace("20_000", "60").replace("=3", "=1").replace("1000", "15")
     printed = run_script(saved(shown, tmp_path))
     assert "posterior    collaborate: 15 particles x 6 iterations" in printed
     assert "reference: the exact sum over the table that the closed loop has read" in printed

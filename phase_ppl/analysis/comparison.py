@@ -39,6 +39,7 @@ MEASURES: Final[Mapping[str, str]] = {
     "p_relation": "P(relation)",
     "map_goals": "goals right",
     "map_relation": "relation right",
+    "draws": "draws",
     "acceptance": "acceptance",
     "moves": "moves",
     "distinct": "distinct",
@@ -179,8 +180,8 @@ class Comparison(Printed):
         words = (
             f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
             f"weights {settings['weights']}; mean ± standard error\n"
-            f"equal are the {unit}, up to the last iteration of a run; {others} are not"
-            f"{own and f'{chr(10)}but for {own}'}\n"
+            f"each run spends the budget of {unit} and ends its last iteration; {others} differ"
+            f"{own and f'{chr(10)}other lengths: {own}'}\n"
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         columns = {
@@ -209,8 +210,8 @@ class Comparison(Printed):
         if not known:
             return "its own error is not known, so kernels are not ranked by it"
         return (
-            f"its own error: {', '.join(known)} between halves of it; kernels share a rank\n"
-            "whose distances do not differ by more than that and two standard errors together"
+            f"its own error: {', '.join(known)} between halves of it\n"
+            "kernels share a rank unless they differ by more than this plus two standard errors"
         )
 
     def _ranking(self, measure: str) -> str:
@@ -229,7 +230,7 @@ class Comparison(Printed):
 
 
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    later = ("r_hat", "ess_per_second")  # not in files of earlier versions
+    later = ("draws", "r_hat", "ess_per_second")  # not in files of earlier versions
     if missing := [name for name in expected if name not in columns and name not in later]:
         raise ValueError(f"it lacks {missing}")
     frame = pd.DataFrame(columns).reindex(columns=list(expected))
@@ -323,6 +324,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
 
     Keys:
 
+    * ``draws``: the rows that the answers rest on, such as the last population of ``smc``.
     * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which
       effective goals changed.
     * ``distinct``: hypotheses among the draws.
@@ -343,6 +345,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
     else:
         size = float(found["effective_rows"])
     return {
+        "draws": float(len(weight)),
         "acceptance": found["acceptance_rate"],
         "moves": np.nan if moves is None else moves,
         "distinct": float(found["distinct_hypotheses"]),

@@ -185,7 +185,7 @@ class Mode(str):
 def with_error(value: float, error: float) -> str:
     """Return ``value ± error`` with as many digits as the error leaves certain."""
     if not error > 0 or not math.isfinite(value):
-        return f"{value:.3g} ± {'0' if error == 0 else '?'}"
+        return f"{value:.3g} ± {'0' if error == 0 else 'unknown'}"
     exponent = math.floor(math.log10(error))
     # two digits of an error that begins with 10 to 35, else one
     decimals = max(0, -exponent + (error / 10.0**exponent < 3.55))

@@ -186,7 +186,7 @@ class Hypotheses(Printed):
     def by_frame(self) -> xr.Dataset | None:
         """Return what each frame says of all agents' effective goals; None where it is not known.
 
-        It is known of what was read step by step, where a prior can be a table of all hypotheses:
+        It is known for the closed loop where a prior can be a table of all hypotheses:
         in PHASE ``log_likelihood`` (time, goal_red, goal_green), in nats, as a frame counts, and
         ``log_prior`` (goal_red, goal_green).
         """

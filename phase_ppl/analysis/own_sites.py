@@ -1,7 +1,7 @@
 """Sites of a prior of one's own in the closed loop: tables of hypotheses with their values.
 
-What is read step by step says how probable a video is under every hypothesis, whatever else the
-prior samples: p(site | video) is proportional to sum_h p(site, h) p(video | h). Sites with few
+The closed loop says how probable a video is under every hypothesis. Other sites of the prior do not
+change this: p(site | video) is proportional to sum_h p(site, h) p(video | h). Sites with few
 values are summed over. Others are drawn: hypotheses from their posterior, beside each the sites
 from the prior given what comes before them, weighted by what comes after (importance sampling).
 These answers have a Monte-Carlo error beside that of the searches.
@@ -60,7 +60,7 @@ class WithSites(Hypotheses):
         return math.nan if self.summed else worth(self._rows.weights)
 
     def _has_error(self, *columns: NDArray[Any]) -> bool:
-        """Return whether no column depends on strengths, as of what is read step by step.
+        """Return whether no column depends on strengths, as in the closed loop.
 
         Of draws, those columns that depend on further sites too have their Monte-Carlo error.
         """

@@ -524,7 +524,7 @@ def load_posterior(
     burn_in: int | None = None,
     scenario: ScenarioFunction | None = None,
 ) -> Posterior | StepwisePosterior:
-    """Read a posterior that was saved, sampled or read step by step.
+    """Read a posterior that was saved, sampled or of the closed loop.
 
     ``Posterior.load`` and ``StepwisePosterior.load`` do the same for one kind and refuse the other.
 
@@ -545,6 +545,7 @@ def load_posterior(
     for name, given in (("weights", weights), ("burn_in", burn_in)):
         if given is not None:
             raise InvalidSettingError(
-                f"{name}={given!r}: {path} was read step by step and has no draws to be weighted"
+                f"{name}={given!r}: {path} has a posterior of the closed loop, which has no draws "
+                f"to weight: leave {name} out"
             )
     return StepwisePosterior.load(path, scenario=scenario)

@@ -1,4 +1,4 @@
-"""The form of a file of what was read step by step: its variables, and those of older versions.
+"""The form of a file of a posterior of the closed loop: its variables, and those of older versions.
 
 Attributes: ``schema``, ``event_id``, ``settings`` and ``cost`` (JSON), ``weight`` (what a frame
 counts); ``samples``, of a simulator of one's own (0: it has a density); and those of the scene
@@ -24,7 +24,7 @@ SCHEMAS: Final = (
     *(SCHEMA, _OF_PAIRS, "phase_ppl/stepwise-roles/1"),
     *("phase_ppl/stepwise-own/1", "phase_ppl/stepwise-own-roles/1"),
 )
-"""Of files of what was read step by step; all but the first are of older versions."""
+"""Of files of posteriors of the closed loop; all but the first are of older versions."""
 
 _ATTRS: Final = ("event_id", "settings", "cost", "weight")
 _ALWAYS: Final = {
@@ -157,15 +157,15 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
 
 
 def as_written_now(found: xr.Dataset) -> xr.Dataset:
-    """Return what was read step by step, checked, with the variables of this version.
+    """Return what the closed loop read, checked, with the variables of this version.
 
     Raises:
         InvalidEventError: ``found`` lacks something, or is of another kind; the message names it.
     """
     if found.attrs.get("schema") not in SCHEMAS:
         raise InvalidEventError(
-            f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
-            f"expected {SCHEMA!r}, or an older one"
+            "this is no posterior of the closed loop: its schema is "
+            f"{found.attrs.get('schema')!r}, expected {SCHEMA!r}, or an older one"
         )
     try:
         space = space_of(kept_world(found))

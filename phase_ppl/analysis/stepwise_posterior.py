@@ -51,7 +51,7 @@ _FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 
 
 class StepwisePosterior(EventPosterior):
-    """Posterior over all agents' goals, whom they help or hinder, and strengths, step by step.
+    """The closed loop's posterior over all agents' goals, relations and strengths.
 
     The sum over hypotheses leaves none out, unless there are more than
     :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn; what
@@ -291,7 +291,7 @@ class StepwisePosterior(EventPosterior):
     @property
     def chains(self) -> Any:
         raise InvalidSettingError(
-            "a posterior that was read step by step has no chains: it is a sum over hypotheses. "
+            "a posterior of the closed loop has no chains: it is a sum over hypotheses. "
             "post.arviz has draws from it; post.diagnostics() says whether it can be trusted"
         )
 
@@ -458,10 +458,7 @@ class StepwisePosterior(EventPosterior):
         if self._table.own:
             samples, simulator = self._table.samples, self.settings["model"]["simulator"]
             searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
-        return (
-            f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
-            f"{searched}"
-        )
+        return f"{self.event_id}: closed loop, {found['frames']} frames; all hypotheses, {searched}"
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
         cost, told = self.cost, [*self._notes(), *self._answer_lines(), ""]
@@ -469,7 +466,7 @@ class StepwisePosterior(EventPosterior):
             told += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
         if self._strength_weight != 1:
-            evidence += f", for strengths {self._strength_weight:g}"
+            evidence += f"; as evidence for strengths a frame counts {self._strength_weight:g}"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
@@ -499,5 +496,5 @@ class StepwisePosterior(EventPosterior):
 
 
 def holds_stepwise(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds a posterior that was read step by step."""
+    """Whether a file holds a posterior of the closed loop."""
     return root_attribute(path, "schema") in SCHEMAS

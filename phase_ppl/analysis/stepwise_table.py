@@ -1,4 +1,4 @@
-"""What was read step by step, as a table of hypotheses about a video, at every frame.
+"""What the closed loop read, as a table of hypotheses about a video, at every frame.
 
 A hypothesis is a way in which agents stand to each other, a goal of each, and strengths. Its mass
 is that of the prior (:class:`Prior`) times what frames say of it. Frames say something of the goals
@@ -583,7 +583,7 @@ class Table:
 
 
 def table_of(found: xr.Dataset) -> Table:
-    """Return the hypotheses about a video that was read step by step.
+    """Return the hypotheses about a video that the closed loop read.
 
     Args:
         found: as of :mod:`phase_ppl.analysis.stepwise_file`, of this version or an older one.

@@ -69,8 +69,8 @@ def check_tree(tree: xr.DataTree) -> None:
     schema = tree.attrs.get("schema")
     if schema != SCHEMA:
         raise InvalidEventError(
-            f"this is no tree of draws: its schema is {schema!r}, not {SCHEMA!r} (where it was "
-            "read step by step: load_posterior reads it)"
+            f"this is no tree of draws: its schema is {schema!r}, expected {SCHEMA!r}; if it is of "
+            "the closed loop, phase_ppl.load_posterior reads it"
         )
     if missing := [name for name in REQUIRED_ATTRS if name not in tree.attrs]:
         raise InvalidEventError(f"the tree of draws lacks the root attributes {missing}")

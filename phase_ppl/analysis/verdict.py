@@ -47,13 +47,13 @@ DISAGREE: Final = 0.1
 JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
 """Keys that :func:`judged` makes."""
 
-_LOOKS: Final[Mapping[str, tuple[str, str]]] = {
-    "fail": ("x", "#cf222e"),
-    "doubt": ("!", "#9a6700"),
-    "unknown": ("?", "#57606a"),
-    "ok": ("+", "#1a7f37"),
+_LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
+    "fail": ("x", "#cf222e", "failed"),
+    "doubt": ("!", "#9a6700", "doubt"),
+    "unknown": ("?", "#57606a", "not checked, or unknown"),
+    "ok": ("+", "#1a7f37", "passed"),
 }
-"""State -> its mark and colour, the worst state first."""
+"""State -> its mark, colour and meaning, the worst state first."""
 
 _TRUST: Final = {
     "confident": "The computation can be trusted.",
@@ -136,17 +136,26 @@ def verdict_lines(found: Record) -> list[str]:
         row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
         shown.append(f"{label:<{LABEL}}{row}".rstrip())
         label = ""
+    if legend := _legend(found):
+        shown.append(f"{'':<{LABEL}}({legend})")
     said = [one["says"] for state in _LOOKS for one in found["checks"] if one["state"] == state]
     if said and said[0]:
         shown += wrapped("why", said[0])
     return [*shown, *wrapped("next", found["next"])]
 
 
+def _legend(found: Record) -> str:
+    """Return what the marks of the checks mean, if not all passed."""
+    states = {one["state"] for one in found["checks"]}
+    marks = [f"{mark} {means}" for state, (mark, _, means) in _LOOKS.items() if state in states]
+    return ", ".join(marks) if states != {"ok"} else ""
+
+
 def as_html(found: Record) -> str:
     """Return the answer, the checks as a coloured list, and the next step."""
     rows = []
     for one in found["checks"]:
-        mark, colour = _LOOKS[one["state"]]
+        mark, colour, _ = _LOOKS[one["state"]]
         name, value, limit, says = (
             html.escape(one[key]) for key in ("name", "value", "limit", "says")
         )
@@ -156,11 +165,11 @@ def as_html(found: Record) -> str:
         )
     return (
         f"<p><strong>{html.escape(found['answer'])}</strong></p><ul>{''.join(rows)}</ul>"
-        f"<p>Next: {html.escape(found['next'])}</p>"
+        f"<p><small>{_legend(found)}</small></p><p>Next: {html.escape(found['next'])}</p>"
     )
 
 
-# --- of draws, and of a reading step by step ------------------------------------------------------
+# --- of draws, and of the closed loop -------------------------------------------------------------
 
 
 def _of_tracks(found: Record) -> Iterator[Check]:
@@ -364,7 +373,7 @@ def _mixing(found: Record, longer: str) -> Check:
         return Check(name, "unknown", f"{draws} draw{'s' * (draws != 1)} each", limit, says)
     of = max(known, key=lambda name: known[name])
     apart = [f"{r:.2f} of {name}" for name, r in known.items() if r > MIXED]
-    says = f"R-hat {', '.join(apart)}; below {MIXED:g} chains agree."
+    says = f"R-hat {', '.join(apart)}; below 1.01 chains agree, above {MIXED:g} they do not."
     value = f"R-hat {known[of]:.2f} of {of}"
     return Check(name, "doubt" if apart else "ok", value, limit, says, longer)
 
@@ -391,7 +400,7 @@ def _worth(found: Record, longer: str) -> Check:
     return Check("weighted draws", state, value, f"{FEW:.0%} or more", says, longer)
 
 
-# --- of a reading step by step --------------------------------------------------------------------
+# --- of the closed loop ---------------------------------------------------------------------------
 
 
 def of_reading(found: Record) -> dict[str, Any]:
@@ -440,11 +449,11 @@ def _explained(found: Record, own: bool) -> Check:
     )
     if frames:
         says = (
-            f"No sample of the simulator comes near {_frames(frames)}: its tails decide, of which "
-            "samples say nothing."
+            f"No sample of the simulator comes near {_frames(frames)}: the tails of its density "
+            "decide there, and samples say nothing about these."
             if own
             else f"No action explains {_frames(frames)}: a body is where nothing could have put "
-            "it. The probabilities hold only for a video that this is not."
+            "it. So do not use the probabilities: this video is outside the model."
         )
         return Check(name, "fail", f"all but {len(frames)}", "all", says, _TRACKS)
     if most is None:
@@ -458,8 +467,8 @@ def _expected(found: Record) -> Check:
         says = "Nothing was kept that would tell whether the model expects such a video."
         return Check(name, "unknown", "not kept", f"{limit:.0%} or more", says)
     says = (
-        f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
-        f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
+        f"The agents act otherwise than the model expects: {share:.0%} of the frames surprise "
+        f"under every goal (the model's own videos: {SURPRISING:.0%})."
     )
     state = "fail" if share > limit else "ok"
     value = f"in {1 - share:.0%} of the frames"

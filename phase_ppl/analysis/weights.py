@@ -130,7 +130,7 @@ def likelihood(tree: xr.DataTree) -> Rows:
         lost = int(np.argmax(simulation < 0))
         raise InvalidEventError(
             f"draw {index['draw'][lost]} of chain {index['chain'][lost]} rests on no completed "
-            "simulation of the tree, so its likelihood is unknown: give weights='count'"
+            "simulation of the tree, so its likelihood is unknown: use weights='count'"
         )
     log_likelihood = trees.array(tree, "simulations", "log_likelihood").astype(float)
     return Rows(values, normalised(log_likelihood[simulation]), index)
@@ -141,7 +141,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     if not has_proposals(tree):
         raise InvalidSettingError(
             "weights 'stratified' need the density of each proposal, which kernel "
-            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+            f"{tree.attrs['kernel']!r} does not give: use weights='count'"
         )
     if not _has_prior(tree):
         raise InvalidSettingError("weights 'stratified' need the prior of pairs of goals")

@@ -351,7 +351,7 @@ def simulated(
         walls = {} if change.walls is None else {"walls": change.walls}
         changed = [change.hypothesis(sites) for sites in drawn]
         worlds.append((dataclasses.replace(scene, **walls), change.removed, changed))
-    followed = settings.get("likelihood", {}).get("tracking")  # of what was read step by step
+    followed = settings.get("likelihood", {}).get("tracking")  # of the closed loop
     tracking = None if followed is None else Tracking(**followed)
     past = reconstructed(scene, observed[: at + 1], tracking) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()

@@ -111,7 +111,7 @@ def _lines(question: str, found: Any) -> Iterator[str]:
         yield f"{question} = {found}"
     elif isinstance(found, str):
         error = found.error  # type: ignore[attr-defined]
-        doubt = f"another leads with probability {error:.2g}" if error == error else "± ?"
+        doubt = f"another leads with probability {error:.2g}" if error == error else "± unknown"
         yield f"{question} = {found} ({doubt})"
     elif not isinstance(found, list) and "bound" in found.dims:
         yield f"{question} = {' to '.join(map(str, _bounds(found)))}"
@@ -166,7 +166,8 @@ def diagnose(options: Options) -> None:
     if options.out is not None:
         if not sampled:
             raise InvalidSettingError(
-                f"--out: {options.file} was read step by step, it has no chains to draw"
+                f"--out: {options.file} has a posterior of the closed loop, which has no chains to "
+                "draw: leave --out out"
             )
         out = writable_folder(options.out)
         figures = [phase_ppl.plot.diagnostics]

@@ -108,9 +108,9 @@ class GeneratedEvents(Printed, StoredEvents):
         lines = []
         for cell, kept in self.manifest["kept"].items():
             refused = self.manifest["rejected"][cell]
-            why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
+            why = "; ".join(f"{reason}: {n}" for reason, n in refused.items())
             of = kept + sum(refused.values())
-            line = f"{cell:<22}{kept:>4} of {of:>4} draws   {why}"
+            line = f"{cell:<22}{kept:>4} of {of:>4} draws   {why and f'rejected: {why}'}"
             lines += [line.rstrip()] * (kept > 0)
         return "\n".join([*lines, f"{len(self)} events ({self._by_split()}) in {self.path}"])
 

@@ -123,7 +123,7 @@ def _entries(path: PathLike) -> Entries:
             # imported only here, as it brings the simulator
             from phase_ppl.data.authors import videos
 
-            with in_front("is a pickle, of which only those of PHASE's authors are read: "):
+            with in_front("is a pickle (only pickles of PHASE's authors can be read): "):
                 entries = videos.read(path)
         elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
             # likewise xarray

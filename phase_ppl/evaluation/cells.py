@@ -19,7 +19,7 @@ LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
-    f"intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from resampled events"
+    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson, other scores by resampling events"
 )
 
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair

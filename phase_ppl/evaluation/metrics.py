@@ -491,9 +491,9 @@ def human_accuracy(
         (:mod:`phase_ppl.evaluation.metrics`). An event's score is the share of people who are
         right; intervals are over events. Other worlds have ``by_agent`` and ``by_pair``.
         ``majority`` is the same for the most frequent answers, ties in label order; ``ties`` counts
-        the events with one, per question. ``by_participant``, see :func:`participant_accuracy`, and
-        ``confusion``, true scenario -> scenario of a participant's goals -> responses, are None if
-        it is unknown who gave which answer.
+        the events with one, per question. None if it is unknown who gave which answer:
+        ``by_participant``, see :func:`participant_accuracy`, and ``confusion``, true scenario ->
+        scenario of a participant's goals -> responses.
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.

@@ -41,7 +41,7 @@ _MANY: Final = 8  # questions, beyond which only the answer itself is
 
 @functools.lru_cache(16)
 def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
-    """Return what is asked about an event of a world -> the possible answers, in label order.
+    """Return a mapping from question to its possible answers, in label order, for a world.
 
     ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents' ``world.keys``, as its
     posteriors call them; goals are effective. PHASE has one pair, whose question is ``relation``.

@@ -220,7 +220,7 @@ def program(
     check_settings(settings, with_beta=False)
     if is_stepwise(model.likelihood):
         raise InvalidSettingError(
-            "a stepwise likelihood simulates nothing: phase_ppl.infer(event, model) sums it"
+            "the closed loop's likelihood simulates nothing: write phase_ppl.infer(event, model)"
         )
     runner = Runner(
         model.build_simulator(),

@@ -189,7 +189,10 @@ def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         return kernel_info(kernel)
     is_made = isinstance(kernel, MCMCKernel)
     if not (is_made or callable(kernel)):
-        raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
+        raise InvalidSettingError(
+            f"kernel={shown(kernel)}: expected a name of phase_ppl.available_kernels(), such as "
+            "'local_mh', a kernel class, or a function that makes a kernel from the program"
+        )
     name = getattr(kernel, "__name__", type(kernel).__name__)
     factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
     refuse_numpyros(kernel if isinstance(kernel, type) else type(kernel), name)

@@ -143,8 +143,8 @@ def frames(n: int) -> Budget:
     """Return a budget of ``n`` simulated frames, those of the initial particles included.
 
     As :func:`simulations`, but a simulation stopped early counts only its simulated frames. So a
-    kernel that stops simulations early gets more of them. The length of such a run depends a little
-    on the states of its chains.
+    kernel that stops simulations early gets more of them. The length of such a run depends on
+    the states of its chains: this biases the mean over runs a little, less the longer they are.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.

@@ -89,8 +89,8 @@ class Watch:
         simulator = self.model.simulator
         if simulator is not None and not goes_on(simulator):
             raise InvalidSettingError(
-                f"simulator={shown(simulator)} cannot go on from what was seen, as reading step by "
-                f"step takes: add a method {LOG_PROB_NEXT} or {NEXT_FRAMES}, or name a kernel that "
+                f"simulator={shown(simulator)} cannot go on from what was seen, as the closed loop "
+                f"needs: add a method {LOG_PROB_NEXT} or {NEXT_FRAMES}, or name a kernel that "
                 'samples whole simulations, as in infer(..., kernel="local_mh")'
             )
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")

@@ -78,7 +78,7 @@ def tracing() -> Iterator[None]:
     """Keep other threads from tracing programs: all threads share NumPyro's stack of handlers.
 
     A context, and a decorator for functions that use NumPyro's handlers or kernels while other
-    threads may infer. No simulation is run within.
+    threads may infer. Do not simulate within: other threads wait.
 
     Raises:
         InvalidSettingError: the process was forked from one in which JAX was at work.

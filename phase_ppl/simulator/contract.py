@@ -50,7 +50,7 @@ class Simulator(Protocol):
       with a run.
     * ``warm_up()``: does once the work that all processes can share, such as compiling.
 
-    To be read step by step (:class:`phase_ppl.StepwiseLikelihood`) it needs one of the two below;
+    For the closed loop (:class:`phase_ppl.StepwiseLikelihood`) it needs one of the two below;
     then ``__call__`` is optional. Both get the earlier frames, ``seen``, (t, entity, 3). If the
     first exists, the second is not called:
 
@@ -77,7 +77,7 @@ def has_density(simulator: object) -> bool:
 
 
 def goes_on(simulator: object) -> bool:
-    """Whether a simulator can continue from earlier frames, and so be read step by step."""
+    """Whether a simulator can continue from earlier frames, and so serve the closed loop."""
     return has_density(simulator) or callable(getattr(simulator, "next_frames", None))
 
 

@@ -130,7 +130,8 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     raise OutputError(
-                        f"another process is at work in {shown_path(target)}"
+                        f"another process is at work in {shown_path(target)}: wait for it, or give "
+                        "another path"
                     ) from None
                 except OSError:
                     break

@@ -160,7 +160,7 @@ def _points(points: FloatArray) -> str:
 WIDTH: Final = 88  # columns of a table
 LABEL: Final = 13  # columns of the label before a line
 
-_NAME, _NUMBER, _BAR = 36, 16, 22
+_NAME, _NUMBER, _BAR = 36, 18, 21
 
 
 def plain(value: Any) -> Any:

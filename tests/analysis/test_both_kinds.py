@@ -1,4 +1,4 @@
-"""A posterior by simulations and one read step by step answer the same questions."""
+"""A posterior by simulations and one of the closed loop answer the same questions."""
 
 from __future__ import annotations
 

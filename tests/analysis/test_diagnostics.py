@@ -200,7 +200,7 @@ def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> N
     apart = [[0, 3] * 5, [1] * 9 + [0], [2] * 9 + [0]]
     mixed = [[0, 1, 2, 3, 0, 1, 2, 3, 1, 2]] * 3
     for weights in ("count", "likelihood"):
-        assert "of the log joint; below 1.1 chains agree" in verdict(apart, levels, weights)
+        assert "of the log joint; below 1.01 chains agree" in verdict(apart, levels, weights)
         assert "R-hat" not in verdict(mixed, levels, weights)
 
 

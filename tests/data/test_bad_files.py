@@ -52,7 +52,7 @@ def test_other_pickles_than_the_authors_are_refused_without_running_them(
             path = tmp_path / name
             path.write_bytes(pickle.dumps(content, protocol))
             said = refused(path)
-            assert "is a pickle, of which only those of PHASE's authors are read: " in said
+            assert "is a pickle (only pickles of PHASE's authors can be read): " in said
             assert why in said
     assert not (tmp_path / "sprung").exists()
 

@@ -79,7 +79,7 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     info, instance = info_of(SMC), info_of(SMC())  # whatever is registered of it holds
     same = {"factory": instance.factory, "needs": instance.needs}
     assert instance == dataclasses.replace(info, **same)
-    with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
+    with pytest.raises(InvalidSettingError, match="kernel=7: expected a name of"):
         info_of(7)  # type: ignore[arg-type]
 
 

@@ -326,7 +326,7 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
     assert main([*arguments, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     made = ppl.load_events(out)
-    assert "chasing                  3 of    4 draws   the third 1" in printed
+    assert "chasing                  3 of    4 draws   rejected: the third: 1" in printed
     assert len(list((out / "videos").glob("*.mp4"))) == len(made) == 3
     (film,) = (out / "videos_rejected").iterdir()
     assert film.name == "chasing-00002-0-the-third.mp4"

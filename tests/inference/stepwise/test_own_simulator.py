@@ -1,4 +1,4 @@
-"""A simulator of one's own is read step by step: exactly by its density, or by samples."""
+"""The closed loop reads with a simulator of one's own: exactly by its density, or by samples."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr().out
     assert printed.startswith("  0.0 s  red: ")
     assert "  1.0 s  red: " in printed
-    assert "read step by step, 6 frames" in printed
+    assert "closed loop, 6 frames" in printed
     written = {file.name for file in out.iterdir()}
     assert {"posterior.nc", "why.png", "over_time.png", "watch.mp4", "summary.json"} <= written
     assert main(["query", str(out), "P(relation=friendly)"]) == 0
