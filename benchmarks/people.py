@@ -222,7 +222,7 @@ def population(
     true["spread"] = real.get("spread", float(abs(rng.normal(0.0, 1.0))))
     logs = np.asarray(said["relation"]) + true["spread"] * rng.standard_normal((videos, 3))
     p = np.asarray(jax.nn.softmax(logs, axis=-1), np.float64)
-    counts = rng.multinomial(raters, p / p.sum(axis=1, keepdims=True))
+    counts = rng.multinomial(raters, p / p.sum(axis=1, keepdims=True)).astype(float)
     return evidence, Answers({"relation": counts}, *NOBODY), true
 
 

@@ -211,6 +211,10 @@ class EventPosterior(Hypotheses):
         """The weight of a frame as evidence, in words; "": not tempered, as far as known."""
         raise NotImplementedError
 
+    def over_time(self) -> xr.Dataset:
+        """Return the posterior after every frame; see the kinds of posterior."""
+        raise NotImplementedError
+
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return the log odds of ``event`` by frame: which frames are evidence for it.
 

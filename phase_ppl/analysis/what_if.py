@@ -276,9 +276,9 @@ class Change:
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
-            known = list(ALPHAS) if ALPHA_SITE in space.limits else []
-            if tuple(alpha) not in known:
-                where = known or f"relation= in the world {world.name}"
+            allowed = list(ALPHAS) if ALPHA_SITE in space.limits else []
+            if tuple(alpha) not in allowed:
+                where = allowed or f"relation= in the world {world.name}"
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
             sites[space.company_site] = ALPHAS.index(tuple(alpha))
             words.append(f"alpha = {alpha}")

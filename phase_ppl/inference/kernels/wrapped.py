@@ -99,9 +99,10 @@ class UniformKernel(EventKernel):
         # starting points from the prior
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
         inner = self.started_at(keys[:, 0], for_each(draw, keys[:, 1]))
-        found = for_each(self._simulated, self.points(inner))
+        found: Found = for_each(self._simulated, self.points(inner))
         none = jnp.zeros(len(keys), jnp.int32)
-        return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
+        z, sim_seed, error = found
+        return WrappedState(none, z, sim_seed, error, inner, none > 0, none, keys[:, 2])
 
     def moved(self, state: WrappedState) -> WrappedState:
         keys = for_each(random.split, state.rng_key)
