@@ -407,9 +407,9 @@ class Hypothesis(Printed):
         if (made := self._arguments) is not None:
             return made
         agents, goals = self.world.agents, self.world.goals
-        own = zip(agents, self.stated, self.towards, strict=True)
+        stated = zip(agents, self.stated, strict=True)
         return {
-            "goals": {name: goals[goal or 0] for name, goal, other in own if other is None},
+            "goals": {name: goals[goal] for name, goal in stated if goal is not None},
             "relation": [[*pair, word] for pair, word in self.stances.items()],
             "strengths": dict(zip(agents, self.strengths, strict=True)),
         }
@@ -422,10 +422,12 @@ class Hypothesis(Printed):
             UnknownNameError: a field that a hypothesis does not have.
             InvalidSettingError: a goal is missing; and as of :meth:`of`.
         """
-        if world == PHASE:
-            names = ["goal_red", "goal_green", "alpha", "strength_red", "strength_green"]
-            for name in record:
-                check_name("field of a hypothesis", name, names)
+        in_phase = world == PHASE
+        names = ["goal_red", "goal_green", "alpha", "strength_red", "strength_green"]
+        for name in record:
+            known = names if in_phase else ["goals", "relation", "strengths"]
+            check_name("field of a hypothesis", name, known)
+        if in_phase:
             if missing := [name for name in names[:2] if name not in record]:
                 raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
             return cls(**record)

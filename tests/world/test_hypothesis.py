@@ -26,6 +26,7 @@ from phase_ppl.world.hypothesis import (
     scenario,
 )
 from phase_ppl.world.names import GREEN, RED
+from phase_ppl.world.worlds import TRIO
 from tests.world.examples import DEV, needs_dev
 
 
@@ -89,6 +90,15 @@ def test_what_is_no_hypothesis_is_refused() -> None:
     for record in ({"goal_red": 0}, {"goal_red": "x"}, {}):
         with pytest.raises(PhasePPLError):
             Hypothesis.from_dict(record)
+    for record in ({"goals": {}, "relations": []}, {"goal_red": 0}):
+        with pytest.raises(PhasePPLError, match="field of a hypothesis"):
+            Hypothesis.from_dict(record, TRIO)
+
+
+def test_what_is_read_equals_what_was_written_unused_goals_too() -> None:
+    goals = dict.fromkeys(TRIO.agents, "blue ball to home")
+    one = Hypothesis.of(TRIO, goals, {("green agent", "red agent"): "hinder"}, 300.0)
+    assert Hypothesis.from_dict(one.to_dict(), TRIO) == one
 
 
 RELATION_OF = {
