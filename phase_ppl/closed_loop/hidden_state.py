@@ -321,7 +321,7 @@ class HiddenState:
         self, observed: FloatArray, policies: Sequence[FloatArray] | None
     ) -> FloatArray:
         """Return (joint action,) log probabilities of executed actions before the frame."""
-        unseen = list(np.isnan(observed[: self._n_agents]).any(axis=1))
+        unseen = np.asarray(np.isnan(observed[: self._n_agents]).any(axis=1)).tolist()
         if policies is None or not any(unseen):
             return self._log_prior
         joint = np.ones(())
