@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -313,7 +314,7 @@ class Observation:
         Frames between two are drawn in the film, but come from both of them.
         """
         shown = math.floor(seconds / SHOWN_SECONDS_PER_FRAME + 1e-6) + 1
-        return Observation(self.trajectory[: max(shown, MIN_FRAMES)])
+        return Observation(self.trajectory[: max(shown, MIN_FRAMES)], self.said)
 
     @property
     def film_seconds(self) -> float:
