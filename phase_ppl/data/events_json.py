@@ -30,7 +30,7 @@ A row is null throughout where the body was not seen, and has null as angle wher
 Lengths are in units of the world, y up. Angles are in radians (counter-clockwise, 0 looks up, not
 wrapped). A row is [x, y, angle]; frame 0 is the start, frame k the mean over planner step k. Walls
 are inner walls [[x, y], [x, y]]; strengths are in newtons. ``scene`` requires only ``radius``: the
-rest defaults to the original world without inner walls, ``start`` to the first frame.
+rest defaults to the original world without inner walls, ``start`` to where bodies are seen first.
 ``"resets_velocity": true`` means that agents stand still after each step, as people steer them; it
 is left out elsewhere. ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing
 or null.
@@ -186,10 +186,9 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     observation = _observation(own.trajectories, world, "trajectories")
     scene, bodies = converted(own.scene, _Scene, "scene"), world.entities
     start, centres, arena = scene.start, scene.landmarks, scene.arena
-    first = observation.trajectory[0]
     return Event(
         Scene(
-            first if start is None else _by_name(start, bodies, _Pose, "scene.start"),
+            observation.start if start is None else _by_name(start, bodies, _Pose, "scene.start"),
             _by_name(scene.radius, bodies, float, "scene.radius"),
             scene.walls,
             scene.turning,

@@ -119,6 +119,25 @@ class Model:
             return {}  # its sites depend on the world
         return dict(checked_sites(self.prior))
 
+    @classmethod
+    def realtime(cls, prior: Program | str = priors.uniform) -> Model:
+        """Return the closed loop with settings for frames that come as they happen, in any world.
+
+        One set of searches, of 30 simulations over 10 particles, one strength (450 N) and eight
+        states. It costs a few percent of the usual settings and is less accurate; errors are
+        unknown. ``benchmarks/realtime.py`` measures both.
+        """
+        from phase_ppl.agents.config import PlannerConfig
+        from phase_ppl.closed_loop.hidden_state import Tracking
+        from phase_ppl.models.stepwise import StepwiseLikelihood
+
+        tracking = Tracking(strengths=(450.0,), states=8)
+        likelihood = StepwiseLikelihood(planner_seeds=1, tracking=tracking)
+        planner = dataclasses.replace(
+            PlannerConfig.named(DEFAULT_PLANNER), simulations=30, particles=10
+        )
+        return cls(prior, likelihood=likelihood, planner=planner)
+
     def in_world(self, world: World) -> Model:
         """Return the model for events of a world: its prior bound to it, and its likelihood.
 

@@ -23,7 +23,7 @@ from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.files import atomic_output
-from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
+from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation, unwrapped
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.picture import SCENARIO_COLOURS, Colour, trail_colour
 from phase_ppl.world.progress import Bar
@@ -390,10 +390,7 @@ def between_frames(trajectory: FloatArray, frames_per_step: int) -> FloatArray:
     frames in which a body is.
     """
     smooth = np.array(trajectory)
-    unseen = np.isnan(smooth[..., 2])
-    last = np.maximum.accumulate(np.where(unseen, 0, np.arange(len(smooth))[:, None]), axis=0)
-    angles = np.nan_to_num(np.take_along_axis(smooth[..., 2], last, axis=0))
-    smooth[..., 2] = np.where(unseen, np.nan, np.unwrap(angles, axis=0))
+    smooth[..., 2] = unwrapped(smooth[..., 2])
     moments = np.arange((len(smooth) - 1) * frames_per_step + 1) / frames_per_step
     before = np.minimum(moments.astype(int), len(smooth) - 1)
     after = np.minimum(before + 1, len(smooth) - 1)

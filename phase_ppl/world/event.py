@@ -18,6 +18,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
     instance_of,
+    nonnegative_number,
     positive_number,
     shown,
 )
@@ -33,6 +34,7 @@ from phase_ppl.world.hypothesis import (
 from phase_ppl.world.names import AGENTS, NOTHING, Literal
 from phase_ppl.world.picture import drawn
 from phase_ppl.world.scene import PHASE, Scene, World, check_inside
+from phase_ppl.world.tracks import bridged, headings, in_order, read_array, read_table
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,6 +152,106 @@ class Observation:
             f"{len(stamps)} time stamps{rate} put on {FRAMES_PER_SECOND:g} frames a second",
         )
 
+    @classmethod
+    def from_tracks(
+        cls,
+        tracks: Any,
+        *,
+        world: World = PHASE,
+        names: Mapping[Any, str] | None = None,
+        fps: float | None = None,
+        units: float = 1.0,
+        y_down: bool = False,
+        origin: tuple[float, float] | None = None,
+        gap: float = GAP,
+        angles: str = "unseen",
+        ahead: tuple[str, str] | None = None,
+        least_sure: float = 0.6,
+    ) -> Observation:
+        """Return the observation for tracks of another program; ``.said`` is what was done.
+
+        Points of one body, such as the parts that a pose tracker marks, count as their middle.
+
+        Args:
+            tracks: a pandas table, or an array (time, entity, [x, y] or [x, y, angle]) in the
+                world's order. A table is long, with columns track (or id), frame or time, x, y and
+                perhaps angle; or wide, with x and y of each track, such as ``red_x`` or ``x1``, or
+                with levels of columns. Names as of TrackMate, idtracker.ai, DeepLabCut and SLEAP
+                are known. Angles are radians, counter-clockwise as one sees it, 0 looks up.
+            world: the world, whose entities must have a track each.
+            names: name of a track -> entity; by default tracks have the names of entities.
+            fps: frames per second of simulated time; not needed if there are times.
+            units: units of length of the world per length of the tracks, such as a pixel.
+            y_down: whether y grows downwards, as in pictures.
+            origin: (x, y) of the tracks' origin in the world; by default (0, 0), or the arena's
+                upper left corner if y grows downwards.
+            gap: seconds; gaps up to so long are put on straight lines, 0: none. Others stay.
+            angles: of agents without any: "unseen", or "heading", the way they go. Agents of these
+                worlds can go any way without turning: headings are often angles that no agent
+                could have had. In the first frame, of which nothing is learnt, it is the heading.
+            ahead: two parts of a body, the second ahead of the first, which tell its angle.
+            least_sure: points of which the program is less sure were not seen.
+
+        Raises:
+            InvalidEventError: the table lacks something, or as for the class.
+            InvalidSettingError, UnknownNameError: a value that cannot be used, or tracks and
+                entities do not match.
+        """
+        check_name("angles", angles, ("unseen", "heading"))
+        scale, longest = positive_number("units", units), nonnegative_number("gap", gap)
+        up, entities = -1.0 if y_down else 1.0, world.entities
+        x0, _, _, y1 = world.arena
+        offset = origin or ((x0, y1) if y_down else (0.0, 0.0))
+        corner = finite_array("origin", offset, (2,), InvalidSettingError)
+        if hasattr(tracks, "columns"):
+            read = read_table(tracks, fps is not None, least_sure, ahead, up)
+        else:
+            read = read_array(tracks, entities, up)
+        own = in_order(read, entities, names)
+        said = [f"tracks {', '.join(map(str, names))}" if names else "tracks"]
+        if left := len(read.names) - len(entities):
+            said.append(f"{left} of other bodies left out")
+        said += ["y turned up"] * y_down
+        said += [f"1 length = {scale:g} units"] * (scale != 1)
+        if read.n_doubted:
+            said.append(f"{read.n_doubted} points of a certainty below {least_sure:g} left out")
+        poses = own.poses.copy()
+        poses[..., :2] = corner + scale * poses[..., :2]
+        seconds = own.seconds
+        if seconds is None:
+            if fps is None:
+                raise InvalidSettingError(
+                    "fps=None and the tracks have no times: say fps=, frames per second of "
+                    "simulated time"
+                )
+            seconds = np.arange(len(poses)) / positive_number("fps", fps)
+        poses, n_bridged = bridged(poses, seconds, longest)
+        if n_bridged:
+            said.append(f"{n_bridged} gaps of up to {longest:g} s put on straight lines")
+        if own.seconds is None and fps is not None:
+            found = cls.at_rate(poses, fps)
+        else:
+            found = cls.at_times(poses, seconds, max(longest, GAP))
+        said += [found.said] * bool(found.said)
+        track, n_agents = found.trajectory.copy(), len(world.agents)
+        items = track[:, n_agents:]
+        items[..., 2] = np.where(np.isnan(items[..., 0]), np.nan, np.nan_to_num(items[..., 2]))
+        without = [k for k in range(n_agents) if np.isnan(track[:, k, 2]).all()]
+        for agent in without:
+            heading = headings(track[:, agent, :2])
+            frames = slice(None) if angles == "heading" else slice(1)
+            track[frames, agent, 2] = heading[frames]
+        if without:
+            what = "the way they go" if angles == "heading" else "not seen, but at the start"
+            said.append(f"angles of {', '.join(entities[k] for k in without)}: {what}")
+        return cls(track, "; ".join(said))
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """(entity, 3): x, y [units], angle [rad] where each was seen first; NaN: never."""
+        first = (~np.isnan(self.trajectory)).argmax(axis=0)
+        return np.take_along_axis(self.trajectory, first[None], axis=0)[0]
+
     @property
     def has_gaps(self) -> bool:
         """Whether a body or an angle was not seen in some frame."""
@@ -212,7 +314,7 @@ class Observation:
         Frames between two are drawn in the film, but come from both of them.
         """
         shown = math.floor(seconds / SHOWN_SECONDS_PER_FRAME + 1e-6) + 1
-        return Observation(self.trajectory[: max(shown, MIN_FRAMES)])
+        return Observation(self.trajectory[: max(shown, MIN_FRAMES)], self.said)
 
     @property
     def film_seconds(self) -> float:

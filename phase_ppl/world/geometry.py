@@ -171,3 +171,12 @@ def overlaps(
         _depth(one, other, rounding + more) >= 0
         for (one, rounding), (other, more) in itertools.combinations(shapes, 2)
     ) or any(penetration(shape, wall, rounding) > 0 for shape, rounding in shapes for wall in walls)
+
+
+def unwrapped(angles: FloatArray) -> FloatArray:
+    """Return angles (time, ...) that turn the shorter way, NaN where they are NaN."""
+    unseen = np.isnan(angles)
+    time = np.arange(len(angles)).reshape(-1, *[1] * (angles.ndim - 1))
+    last = np.maximum.accumulate(np.where(unseen, 0, time), axis=0)
+    known = np.nan_to_num(np.take_along_axis(angles, last, axis=0))
+    return np.where(unseen, np.nan, np.unwrap(known, axis=0))

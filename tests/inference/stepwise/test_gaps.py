@@ -173,3 +173,17 @@ def test_a_density_of_whole_frames_refuses_gaps() -> None:
 def test_a_simulator_that_cannot_go_on_from_gaps_is_told_of_them() -> None:
     with pytest.raises(SimulationError, match="not finite; seen is NaN where a body was not seen"):
         infer(GAPS, model(Draws(), samples=20))
+
+
+@pytest.mark.parametrize("world", [ppl.worlds.PHASE, ppl.worlds.SOLO], ids=["phase", "solo"])
+def test_the_model_for_real_time_reads_any_world_by_a_prior_of_ones_own(world: ppl.World) -> None:
+    scene = world.random_scene(2)
+    searches = []
+    for given in (ppl.Model.realtime("uniform"), ppl.Model()):
+        with ppl.watch(scene, given) as watch:
+            for _ in range(3):
+                post = watch.update(scene.start)
+        assert post.marginal("goal_red").sum() == pytest.approx(1)
+        searches.append(post.cost["searches"])
+    assert searches[0] < searches[1]
+    assert ppl.Model.realtime().planner_config().simulations == 30
