@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 import phase_ppl as ppl
-from phase_study.plan import the
+from phase_study.plan import GREATEST, the
 from phase_study.settings import Settings
 from phase_study.store import COMPLETE, Store, trajectory_sha256
 
@@ -105,16 +105,24 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
 """Table -> column -> meaning; :func:`_columns` has those of judgments."""
 
 
-def _columns(world: ppl.World) -> dict[str, Mapping[str, str]]:
-    """Return table -> column -> meaning, for a study in a world."""
-    said: dict[str, str] = {}
+def _columns(settings: Settings) -> dict[str, Mapping[str, str]]:
+    """Return table -> column -> meaning, for a study with some settings."""
+    world, said = settings.world, dict[str, str]()
     pairs = ppl.pairs_of(world)
     for question, agent in zip(ppl.questions_of(world), world.agents, strict=False):
         which = ", likewise" if said else f": one of the {len(world.goals)} goals"
         said[question] = f"what {the(agent)} is after{which}"
     for question, pair in pairs.items():
         whose = f"of {' and '.join(map(the, pair))}: " if len(pairs) > 1 else ""
-        said[question] = f"{whose}friendly, neutral or adversarial"
+        if settings.answers == "sliders":
+            for label in ppl.questions_of(world)[question]:
+                said[f"{question} {label}"] = f"{whose}slider of {label}, from 0 to {GREATEST}"
+        else:
+            said[question] = f"{whose}friendly, neutral or adversarial"
+    if settings.answers == "confidence":
+        said["confidence"] = f"how sure the participant was, from 0 to {GREATEST}"
+    if settings.moments:
+        said["at"] = "seconds of the film at which it had stopped; empty: it was seen to its end"
     last = {"response_time": _COLUMNS["viewings.csv"]["response_time"]}
     return {"judgments.csv": {**_VIEWING, **said, **last}, **_COLUMNS}
 
@@ -235,7 +243,7 @@ def write(
             "steps.csv": "what was done and pressed, from which trajectories follow bit for bit",
         }
     for name, rows in tables.items():
-        columns = list(_columns(settings.world)[name])
+        columns = list(_columns(settings)[name])
         cells = ([row[column] for column in columns] for row in rows)
         ppl.files.write_bytes(out / name, (".csv",), _csv_bytes(columns, cells))
     readme = _readme(store, settings, len(included), include, files, _totals(asked))
@@ -253,10 +261,28 @@ def _answers(
     if settings.kind == "tagging":
         tables["tags.csv"] = [{**row, "label": label} for row in main for label in row["labels"]]
     else:
-        tables["judgments.csv"] = main
+        tables["judgments.csv"] = [one for row in main for one in _judged(row)]
     if settings.kind == "likeness":
         tables["likeness.csv"] = [{**row, "rating": row["likeness"]} for row in main]
     return {**tables, "viewings.csv": viewings}
+
+
+def _judged(row: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a row per judgment of a viewing: at each stop of the film, and at its end."""
+    stops = [
+        {**row, **stop, "response_time": _number(stop["rt"], 1000)}
+        for stop in row.get("moments", ())
+    ]
+    return [_spread(one) for one in [*stops, {**row, "at": None}]]
+
+
+def _spread(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with a column for each slider."""
+    sliders = {name: given for name, given in row.items() if isinstance(given, dict)}
+    return {
+        **row,
+        **{f"{name} {label}": n for name, given in sliders.items() for label, n in given.items()},
+    }
 
 
 def _number(value: float | None, divisor: float = 1.0) -> str:
@@ -308,7 +334,12 @@ def _people(store: Store, settings: Settings) -> list[dict[str, Any]]:
 def _is_missed(viewing: Mapping[str, Any], accepted: Mapping[str, Sequence[str]] | None) -> bool:
     if accepted is None:  # a former check
         return True
-    return any(viewing.get(question) not in answers for question, answers in accepted.items())
+    return any(_leading(viewing.get(q)) not in answers for q, answers in accepted.items())
+
+
+def _leading(answer: Any) -> Any:
+    """Return an answer; of sliders, the label that is highest."""
+    return max(answer, key=answer.get) if isinstance(answer, dict) else answer
 
 
 def _totals(people: Sequence[Mapping[str, Any]]) -> str:
@@ -411,7 +442,7 @@ def _readme(
     store: Store, settings: Settings, n: int, include: Sequence[str],
     files: Mapping[str, str], totals: str,
 ) -> str:  # fmt: skip
-    kind, columns = settings.kind, _columns(settings.world)
+    kind, columns = settings.kind, _columns(settings)
     lines = [
         f"{_TITLE} of {kind}: {settings.title}", "",
         f"Made {time.strftime('%Y-%m-%d')} by phase_ppl {ppl.__version__}; the study was begun "

@@ -7,6 +7,7 @@ a second tab and a lost connection are handled alike.
 from __future__ import annotations
 
 import functools
+import itertools
 import random
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -16,6 +17,7 @@ from phase_study.settings import Settings
 from phase_study.store import Participant
 
 GENDERS: Final = ("female", "male", "non-binary", "other")
+GREATEST: Final = 100  # of a slider, which begins at 0
 LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
 """The scale of the paper, from 1 to 5."""
 
@@ -113,6 +115,7 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
             "html": html(texts["trial"]),
             "video": f"/video/{trials[int(number) - 1]}.mp4",
             "wide": True,
+            "moments": list(settings.moments),
         }
     else:  # a session; static/play.js shows it, and the server ends it
         heading = f"Session {number}" if number else "Practice"
@@ -148,7 +151,13 @@ def questions(settings: Settings, page: str) -> list[Page]:
     found = [_goals(world, agent, settings.self_goals) for agent in range(len(world.agents))]
     for name, pair in pairs.items():
         who = "they" if len(pairs) == 1 else " and ".join(map(the, pair))
-        found.append(_one(name, f"How do {who} stand to each other?", options[name]))
+        one = _one(name, f"How do {who} stand to each other?", options[name])
+        if settings.answers == "sliders":
+            one |= {"kind": "sliders", "most": GREATEST}
+        found.append(one)
+    if settings.answers == "confidence":
+        legend = "How sure are you of your answers?"
+        found.append({"name": "confidence", "kind": "slider", "legend": legend, "most": GREATEST})
     if settings.kind == "likeness":
         legend = " ".join(settings.texts["likeness"].split())
         found.append(_one("likeness", legend, list(enumerate(LIKENESS, 1))))
@@ -263,7 +272,9 @@ def checked(
 ) -> tuple[dict[str, Any], bool | None]:
     """Return the answers to a page; for quiz and consent, also whether the study may go on."""
     kind, asked = page.partition("-")[0], questions(settings, page)
+    stops = kind == "trial" and bool(settings.moments)
     names = {"consent": ["agree"], "tutorial": ["views"]}.get(kind, [one["name"] for one in asked])
+    names = [*names, *["moments"] * stops]
     if sorted(answers) != sorted(names):
         raise Unfit(f"expected answers to {', '.join(names) or 'nothing'}")
     if kind == "consent":
@@ -277,6 +288,8 @@ def checked(
             raise Unfit("views: expected milliseconds")
         return dict(answers), None
     found = {question["name"]: _fitting(question, answers[question["name"]]) for question in asked}
+    if stops:
+        found["moments"] = _stopped(settings.moments, asked, answers["moments"])
     if kind != "quiz":
         return found, None
     right = [answer for _, _, answer in settings.quiz]
@@ -286,6 +299,21 @@ def checked(
 def is_number(value: object, most: float) -> bool:
     """Whether a value of JSON is a number from 0 to below ``most``."""
     return type(value) in (int, float) and 0 <= value < most  # type: ignore[operator]
+
+
+def _stopped(moments: Sequence[float], asked: Sequence[Page], given: Any) -> list[dict[str, Any]]:
+    """Return the answers at the moments at which a film stopped: a shorter one has fewer."""
+    stops = given if isinstance(given, list) else [None]
+    found = []
+    for at, stop in itertools.zip_longest(moments[: len(stops)], stops):
+        names = {"at", "rt", *(question["name"] for question in asked)}
+        if not isinstance(stop, dict) or {*stop} != names or stop["at"] != at:
+            raise Unfit("moments: expected the answers at each")
+        if not is_number(stop["rt"], 1e9):
+            raise Unfit("moments: expected milliseconds")
+        answers = {one["name"]: _fitting(one, stop[one["name"]]) for one in asked}
+        found.append({"at": at, "rt": stop["rt"], **answers})
+    return found
 
 
 def _fitting(question: Page, answer: Any) -> Any:
@@ -298,6 +326,16 @@ def _fitting(question: Page, answer: Any) -> Any:
         if not (type(answer) is int and least <= answer <= most):
             raise Unfit(f"{question['name']}: expected {least} to {most}, or none")
         return answer
+    if question["kind"] == "slider":
+        if not (is_number(answer, GREATEST + 1) and answer <= GREATEST):
+            raise Unfit(f"{question['name']}: expected 0 to {GREATEST}")
+        return answer
+    if question["kind"] == "sliders":
+        given = answer if isinstance(answer, dict) else {}
+        fits = sorted(given) == sorted(options) and any(given.values())
+        if not (fits and all(is_number(v, GREATEST + 1) and v <= GREATEST for v in given.values())):
+            raise Unfit(f"{question['name']}: expected 0 to {GREATEST} for each, not all 0")
+        return {option: given[option] for option in options}
     if question["kind"] == "many":
         several = answer if isinstance(answer, list) else []
         answer = [option for option in options if option in several]

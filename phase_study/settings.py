@@ -33,7 +33,11 @@ _RANGES: Final[Mapping[str, tuple[int, float]]] = {
 }  # fmt: skip
 """Least and greatest values of whole numbers."""
 
-_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer")}
+_CHOICES: Final = {
+    "answers": ("labels", "sliders", "confidence"),
+    "view": ("own", "all"),
+    "partner": ("either", "person", "computer"),
+}
 """Allowed values of texts with a choice."""
 
 
@@ -101,6 +105,8 @@ class Settings:
     checks: Mapping[str, Mapping[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
     play: PlaySettings = None  # type: ignore[assignment]
     self_goals: bool = False
+    answers: Literal["labels", "sliders", "confidence"] = "labels"
+    moments: Sequence[float] = ()
     text: str = ""
     world: ppl.World = ppl.worlds.PHASE
 
@@ -130,6 +136,12 @@ class Settings:
             found[name] = [check(f"[[{name}]] number {n}", e) for n, e in enumerate(found[name], 1)]
         if "checks" in found:
             found["checks"] = {e: _accepted(e, a, world) for e, a in found["checks"].items()}
+        moments = found.get("moments", [])
+        numbers = [ppl.errors.positive_number("a moment in moments", at) for at in moments]
+        if numbers != sorted(set(numbers)):
+            raise ppl.errors.InvalidSettingError(
+                f"moments is {ppl.errors.shown(moments)}, expected seconds in order"
+            )
         if "play" in found:
             found["play"] = PlaySettings(**found["play"])
         return cls(**found, text=text, world=world)

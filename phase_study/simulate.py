@@ -53,6 +53,7 @@ _BY_GOAL: Final[Mapping[str, Mapping[str, float]]] = {
 """Probability that scripted people choose a label, by the scenario and by a goal they see.
 These are guesses of ours: nobody published such shares."""
 
+_FRAME: Final = 0.25  # seconds of film
 _RATING: Final = (4.0, 0.8)
 """Mean and standard deviation of scripted ratings; the paper's means are 4.06 and 3.98."""
 
@@ -128,7 +129,7 @@ def _beliefs(
     study: Study, model: str, given: Any, options: dict[str, Any], progress: bool | None
 ) -> Mapping[str, ppl.Prediction]:
     if given is None:
-        events = list(study.events.values())
+        events = [_asked_at(event, study.settings.moments) for event in study.events.values()]
         found = ppl.evaluate(events, model, progress=progress, **options)
         given = found.predictions
     elif isinstance(given, str | os.PathLike):
@@ -136,6 +137,19 @@ def _beliefs(
     for event in study.events:
         ppl.errors.check_name("event in the predictions", event, given)
     return dict(given)
+
+
+def _asked_at(event: ppl.Event, moments: Sequence[float]) -> ppl.Event:
+    """Return an event whose judgments are at the moments at which its film stops.
+
+    A model is then asked about these. The answers themselves are not used.
+    """
+    seconds = (event.observation.n_frames - 1) * _FRAME
+    question, labels = next(iter(ppl.questions_of(event.scene.world).items()))
+    rows = [
+        {"participant": "nobody", "at": at, question: labels[0]} for at in moments if at < seconds
+    ]
+    return dataclasses.replace(event, judgments={"responses": rows} if rows else None)
 
 
 @contextlib.contextmanager
@@ -328,7 +342,33 @@ class Person:
         if "likeness" in asked:
             rating = int(np.clip(round(self.rng.normal(*_RATING)), 1, 5))
             return {**drawn, "likeness": rating}
-        return drawn
+        moments = page.get("moments", ())
+        if not moments:
+            return self._rated(belief, drawn)
+        stops = []
+        for at in moments:
+            if belief.moments and at not in belief.moments:
+                continue  # the film is shorter
+            until = belief.at(at) if belief.moments else belief
+            said = {q: self._drawn(until, q, options) for q, options in allowed.items()}
+            stops.append({"at": at, "rt": 4000.0, **self._rated(until, said)})
+        return {**self._rated(belief, drawn), "moments": stops}
+
+    def _rated(self, belief: ppl.Prediction, drawn: Mapping[str, str]) -> dict[str, Any]:
+        """Return answers as the study asks for them: labels, sliders, or how sure as well."""
+        found: dict[str, Any] = dict(drawn)
+        if self.settings.answers == "confidence":
+            found["confidence"] = int(self.rng.integers(30, plan.GREATEST + 1))
+        if self.settings.answers == "sliders":
+            for question in ppl.pairs_of(self.settings.world):
+                labels = ppl.questions_of(self.settings.world)[question]
+                even = np.full(len(labels), 1 / len(labels))
+                shares = belief.probabilities.get(question, even)
+                noisy = shares * plan.GREATEST + self.rng.normal(0, 8, len(labels))
+                noisy[labels.index(drawn[question])] += 10
+                rounded = np.clip(noisy, 0, plan.GREATEST).round().astype(int)
+                found[question] = dict(zip(labels, rounded.tolist(), strict=True))
+        return found
 
     def _drawn(self, belief: ppl.Prediction, question: str, options: Sequence[str]) -> str:
         labels = ppl.questions_of(self.settings.world)[question]

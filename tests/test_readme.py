@@ -39,7 +39,7 @@ def saved(example: str, folder: Path) -> Path:
 
 def test_all_pages_with_examples_are_known() -> None:
     assert {name: len(found) for name, found in EXAMPLES.items()} == {
-        "judgments": 2,
+        "judgments": 3,
         "long_runs": 1,
         "many_events": 1,
     }
@@ -138,7 +138,11 @@ def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[.
 def test_people_with_graded_answers_or_in_another_world_are_shown_beside_a_model(
     tmp_path: Path, run_script: Callable[..., str]
 ) -> None:
-    sliders, trio = (run_script(saved(example, tmp_path)) for example in EXAMPLES["judgments"])
+    printed = [run_script(saved(example, tmp_path)) for example in EXAMPLES["judgments"]]
+    sliders, moments, trio = printed
+    assert "agreement with people on relations, at moments of the film" in moments
+    for name in ("over_time", "by_moment"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 1000
     for printed in (sliders, trio):
         assert "people, majority" in printed
     assert "[0.8   0.125 0.075]" in sliders

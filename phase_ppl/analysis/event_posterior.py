@@ -212,7 +212,10 @@ class EventPosterior(Hypotheses):
         raise NotImplementedError
 
     def over_time(self) -> xr.Dataset:
-        """Return the posterior after every frame; see the kinds of posterior."""
+        """Return the marginals at every frame: probabilities (time, label) of each question.
+
+        A sampled posterior's are in hindsight; the attribute ``hindsight`` says so.
+        """
         raise NotImplementedError
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:

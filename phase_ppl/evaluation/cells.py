@@ -170,6 +170,18 @@ def _tables(
             [*models, among],
         )
     for kind, word in KIND_WORDS.items():
+        prefix = PREFIX[kind]
+        yield (
+            f"agreement with people on {word}, at moments of the film",
+            {
+                "r": f"moments.{kind}_r",
+                "log score": f"moments.{prefix}log_score",
+                "JS divergence": f"moments.{prefix}js",
+                "ECE": f"moments.{prefix}ece",
+            },
+            [*models, among],
+        )
+    for kind, word in KIND_WORDS.items():
         title, places = _by_part([metrics for _, metrics in models], kind)
         columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
         yield f"{word} right, {title}", columns, right
@@ -224,11 +236,13 @@ def _among_people(models: Sequence[Row]) -> dict[str, Any]:
         return next(filter(None, (at(metrics, path) for metrics in by_events)), None)
 
     doubt = {f"relation_{r}": first(f"doubt.ceiling.one_out_{r}") for r in ("r", "r_given_truth")}
-    human = {}
+    human, moments = {}, {}
     for kind, prefix in PREFIX.items():
+        moments[f"{kind}_r"] = first(f"moments.{prefix}split_half_r")
+        moments[f"{prefix}log_score"] = first(f"moments.{prefix}log_score_people")
         human[f"{kind}_r"] = first(f"human.{prefix}split_half_r")
         human[f"{prefix}log_score"] = first(f"human.{prefix}log_score_people")
-    return {"human": human, "doubt": doubt}
+    return {"human": human, "moments": moments, "doubt": doubt}
 
 
 def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:

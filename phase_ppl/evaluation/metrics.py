@@ -38,6 +38,8 @@ question.
 ``doubt``                      whether the model is unsure where people are:
                                :mod:`phase_ppl.evaluation.doubt`; None unless the world has exactly
                                one pair of agents
+``moments``                    agreement with people who judged at moments of the film:
+                               :mod:`phase_ppl.evaluation.moments`; None where nobody did
 ``ties``                       question -> events in which several answers are the most probable;
                                None without probabilities
 =============================  ===================================================================
@@ -94,6 +96,7 @@ from phase_ppl.evaluation.doubt import (
     same_truth,
     split_half_of,
 )
+from phase_ppl.evaluation.moments import PREFIX, moments
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions, scenario_of
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.table import (
@@ -111,9 +114,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 
 TOP: Final = 3
-
-PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
-"""Kind -> prefix of the names of measures under ``human``."""
 
 
 def evaluate_predictions(
@@ -218,6 +218,10 @@ class Scores:
         made = places_of_scenarios(predictions[name].scenario for name in ids)
         result["confusion"] = confusion(answers.scenarios, made)
         result["doubt"] = doubt(answers, self._seed, self._resamples)
+        result["moments"] = moments(answers, self._seed, self._resamples)
+        if result["moments"] is not None:
+            said = {predictions[name].hindsight for name in ids} - {""}
+            result["moments"]["hindsight"] = bool(said)
         result["ties"] = count_ties(answers, "probability")
         return result
 

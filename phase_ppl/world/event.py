@@ -317,11 +317,6 @@ class Observation:
         return Observation(self.trajectory[: max(shown, MIN_FRAMES)], self.said)
 
     @property
-    def film_seconds(self) -> float:
-        """Duration of the film."""
-        return (self.n_frames - 1) * SHOWN_SECONDS_PER_FRAME
-
-    @property
     def duration(self) -> str:
         """The duration, in words."""
         seconds = (self.n_frames - 1) / FRAMES_PER_SECOND

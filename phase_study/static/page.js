@@ -17,7 +17,9 @@ function element(tag, attributes = {}, ...children) {
 
 /** A film with a button of its own: native controls would cover its lower quarter. */
 class Film {
-  constructor(source, note) {
+  constructor(source, note, moments = []) {
+    this.moments = [...moments]; // seconds at which it still has to stop
+    this.waiting = null;         // at which it has stopped, for an answer
     this.plays = 0;
     this.firstEnd = null;
     const begun = performance.now();
@@ -29,8 +31,16 @@ class Film {
     this.element = element("div", { class: "film" }, this.video, element("p", {}, this.button, this.status));
     const says = (label, text = "") => { this.button.textContent = label; this.status.textContent = text; };
     let fromTheStart = true; // not by the time of the film, which goes on until the event is heard
-    this.video.addEventListener("play", () => { if (fromTheStart) this.plays++; fromTheStart = false; says("Pause"); });
-    this.video.addEventListener("pause", () => { if (!this.video.ended && !this.video.error) says("Play"); });
+    this.video.addEventListener("play", () => { if (fromTheStart) this.plays++; fromTheStart = false; says("Pause"); watch(); });
+    const watch = () => {
+      if (this.moments.length && this.video.currentTime >= this.moments[0]) {
+        this.waiting = this.moments.shift();
+        this.video.pause();
+        this.button.disabled = true;
+        says("Play", "The animation has stopped. Please answer by what you have seen so far.");
+      } else if (!this.video.paused) requestAnimationFrame(watch);
+    };
+    this.video.addEventListener("pause", () => { if (this.waiting === null && !this.video.ended && !this.video.error) says("Play"); });
     this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); fromTheStart = true; says("Play again"); });
     this.video.addEventListener("error", () => {
       fromTheStart = true;
@@ -40,6 +50,7 @@ class Film {
     this.refused = () => { note("autoplay refused"); says("Play", "Press the button to start the animation."); };
   }
   start() { this.video.play().catch(error => { if (error.name === "NotAllowedError") this.refused(); }); }
+  goOn() { this.waiting = null; this.button.disabled = false; this.video.play().catch(() => {}); }
   toggle() {
     if (this.video.error) this.video.load();
     if (this.video.paused || this.video.ended) this.video.play().catch(() => {});
@@ -69,6 +80,17 @@ const QUESTIONS = {
       answer: () => input.value === "" && !input.validity.badInput ? null : input.checkValidity() ? Number(input.value) : undefined,
     };
   },
+  slider: question => {
+    const slider = ranged(question.legend, question);
+    return { element: fieldset(question, slider.element), answer: () => slider.moved() ? slider.value() : undefined };
+  },
+  sliders: question => {
+    const all = question.options.map(([value, label]) => [value, ranged(label, question)]);
+    return {
+      element: fieldset(question, ...all.map(([, slider]) => slider.element)),
+      answer: () => all.some(([, slider]) => slider.value() > 0) ? Object.fromEntries(all.map(([value, slider]) => [value, slider.value()])) : undefined,
+    };
+  },
   goals: question => {
     const words = new Map(question.options), rest = new Map(words);
     const radio = goal => { rest.delete(goal); return element("input", { type: "radio", name: question.name, value: goal, "aria-label": words.get(goal) }); };
@@ -86,6 +108,16 @@ const QUESTIONS = {
 
 function fieldset(question, ...children) {
   return element("fieldset", { class: question.kind }, element("legend", {}, swatch(question.colour), question.legend), ...children);
+}
+
+/** A slider from 0 on, with its name and its number. */
+function ranged(label, question) {
+  let moved = false;
+  const number = element("output", {}, "0");
+  const input = element("input", { type: "range", min: 0, max: question.most, step: 1, value: 0, "aria-label": label,
+    input: () => { moved = true; number.textContent = input.value; } });
+  input.value = 0;
+  return { element: element("label", { class: "slider" }, element("span", {}, label), input, number), moved: () => moved, value: () => Number(input.value) };
 }
 
 /** A little square of a colour, or of one that the style sheet knows by name. */
@@ -128,7 +160,8 @@ var jsPsychPage = (function (jspsych) {
         film?.start();
       };
       if (page.steps) { this.steps(page, trial, show, finish, elapsed, shown => { film = shown; }); return; }
-      if (page.video) film = new Film(trial.source(page.video), trial.note);
+      if (page.video) film = new Film(trial.source(page.video), trial.note, page.moments);
+      const stops = [];
       const text = element("div", { class: "text", html: page.html });
       if (page.choices) {
         show(text, element("p", { class: "buttons" }, ...page.choices.map(([value, label]) =>
@@ -139,7 +172,7 @@ var jsPsychPage = (function (jspsych) {
       const submit = event => {
         event.preventDefault();
         for (const [, question] of questions) question.element.classList.remove("missing");
-        if (film && film.firstEnd === null) { why.textContent = "Please watch the animation to its end first."; film.button.focus(); return; }
+        if (film && film.firstEnd === null && film.waiting === null) { why.textContent = "Please watch the animation to its end first."; film.button.focus(); return; }
         if (screen.width < page.min_width || film?.video.videoWidth === 0) {
           trial.note("device refused", screen.width);
           show(element("div", { class: "text", role: "alert", html: page.refused }));
@@ -153,7 +186,13 @@ var jsPsychPage = (function (jspsych) {
           missing[0].querySelector("input").focus();
           return;
         }
-        finish(answers);
+        why.textContent = "";
+        if (film && film.waiting !== null) {
+          stops.push({ at: film.waiting, rt: elapsed(), ...answers });
+          film.goOn();
+          return;
+        }
+        finish(page.moments?.length ? { ...answers, moments: stops } : answers);
       };
       const form = element("form", { submit, novalidate: true }, ...questions.map(([, question]) => question.element),
         element("p", { class: "buttons" }, element("button", { class: "jspsych-btn" }, page.button), why));

@@ -413,6 +413,39 @@ HTMLMediaElement.prototype.play = function () {
 
 
 @needs_browser
+def test_a_film_stops_and_sliders_are_moved_by_keys(opened: Opened, made: Any) -> None:
+    window = opened(made(answers="sliders", moments=[0.25, 0.5]), Prepared)
+    window.sees("Animation 1 of 3")
+    stopped = "The animation has stopped."
+    own = "get the blue item to the red landmark", "get away from the red agent"
+    play = "Object.assign(document.querySelector('video'), { watched: true, playbackRate: 1 })"
+    window.page.evaluate(play)
+    for stop in range(2):
+        window.says(stopped)
+        window.is_accessible()
+        for label in own:
+            window.page.get_by_label(label, exact=True).first.check()
+        window.press("Next")
+        if stop == 0:
+            window.says("still open")  # no slider was moved
+            slider = window.page.get_by_role("slider", name="neutral")
+            slider.focus()
+            for _ in range(3):
+                window.page.keyboard.press("ArrowRight")
+            window.press("Next")
+    window.page.get_by_role("button", name="Play again").wait_for()
+    window.press("Next")
+    window.sees("Animation 2 of 3")
+    assert window.faults == []
+    window.leave()
+    (answer,) = rows(window.study, "SELECT answers FROM response WHERE page='trial-1'")
+    said = json.loads(answer["answers"])
+    assert [stop["at"] for stop in said["moments"]] == [0.25, 0.5]
+    for given in (said, *said["moments"]):
+        assert given["relation"] == {"friendly": 0, "neutral": 3, "adversarial": 0}
+
+
+@needs_browser
 def test_a_film_that_cannot_be_shown_or_begin_and_a_small_screen_are_told_and_noted(
     opened: Opened, made: Any
 ) -> None:

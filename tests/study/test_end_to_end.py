@@ -91,7 +91,7 @@ def test_from_play_to_people_beside_models(
     out = tmp_path / "answers"
     simulate.simulate(judging, out, people=8, predictions=believed.predictions, lapse=0.2)
     judged = ppl.load_judgments(out / "judgments.csv", events)
-    assert len(judged.table) >= 6 * len(events) - 4
+    assert len(judged.table) >= 3 * (6 * len(events) - 4)
     models = [
         ppl.evaluate(events, name, judgments=out / "judgments.csv", out=tmp_path / name)
         for name in ("last_frame", "majority")

@@ -37,6 +37,34 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
     return found
 
 
+def test_answers_of_sliders_and_stops_are_checked_and_how_sure_people_are_is_kept(
+    tmp_path: Path,
+) -> None:
+    study = make_study(tmp_path / "study", answers="sliders", moments=[0.5])
+    sliders = {"friendly": 20, "neutral": 60, "adversarial": 0}
+    right = {**JUDGED, "relation": sliders}
+    stopped = {**right, "moments": [{**right, "at": 0.5, "rt": 900}]}
+    assert plan.checked(study.settings, "trial-1", stopped) == (stopped, None)
+    assert plan.checked(study.settings, "trial-1", {**right, "moments": []})  # a shorter film
+    for bad in (
+        right,
+        {**stopped, "relation": "neutral"},
+        {**stopped, "relation": dict.fromkeys(sliders, 0)},
+        {**stopped, "relation": {**sliders, "neutral": 101}},
+        {**stopped, "relation": {"neutral": 60}},
+        {**stopped, "moments": [{**right, "at": 0.6, "rt": 900}]},
+        {**stopped, "moments": [{**right, "at": 0.5}]},
+        {**stopped, "moments": stopped["moments"] * 2},
+    ):
+        with pytest.raises(plan.Unfit):
+            plan.checked(study.settings, "trial-1", bad)
+    sure = make_study(tmp_path / "sure", answers="confidence")
+    come(sure, {**JUDGED, "confidence": 70})
+    out = sure.export(tmp_path / "out")
+    assert {row["confidence"] for row in table(out / "judgments.csv")} == {"70"}
+    assert set(ppl.load_judgments(out / "judgments.csv").table["confidence"]) == {70.0}
+
+
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """Two finished, one excluded, one withdrawn, one failed the quiz, one left, one declined."""
@@ -62,7 +90,7 @@ def out(judged: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_judgments_are_read_and_joined_to_the_events(out: Path) -> None:
     events = ppl.load_events(out / "events.json")
     found = ppl.load_judgments(out / "judgments.csv", events)
-    assert len(found.table) == 6
+    assert len(found.table) == 6 * 3  # questions
     assert (found.table["response_time"] == 2.0).all()
     with_people = ppl.with_judgments(events, found)
     assert all(event.judgments["n_raters"] == 2 for event in with_people)
@@ -173,7 +201,7 @@ def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
     likeness = ppl.load_likeness(out / "likeness.csv")
     assert likeness.groups == ("played", "generated")
     assert likeness.table["group"].value_counts().to_dict() == {"played": 6, "generated": 6}
-    assert len(ppl.load_judgments(out / "judgments.csv").table) == 12
+    assert len(ppl.load_judgments(out / "judgments.csv").table) == 12 * 3
     told = table(out / "likeness.csv")
     pairs = {(row["pair"], row["video"].removesuffix("-generated")) for row in told}
     assert len(pairs) == 3, "a played event and its counterpart have the same number"

@@ -47,7 +47,27 @@ def test_some_lapse_and_some_leave(
     )
     assert "| finished | 12 |" not in (out / "README.md").read_text("utf-8")
     found = ppl.load_judgments(out / "judgments.csv")
-    assert found.table["goal_red"].nunique() > 3
+    said = found.table[found.table["question"] == "goal_red"]
+    assert said["answer"].nunique() > 3
+
+
+def test_sliders_and_stops_come_out_as_judgments_at_moments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A film of 0.75 s stops once, and is judged at its end as well."""
+    monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
+    asked = make_study(tmp_path / "study", answers="sliders", moments=[0.5, 2.0])
+    simulate(asked, tmp_path / "out", 4, model="last_frame", drop_outs=0.0, progress=False)
+    events = list(asked.events.values())
+    study = ppl.load_judgments(tmp_path / "out" / "judgments.csv", events)
+    answers = study.table.drop_duplicates(["participant", "event", "question", "at"])
+    assert answers["at"].isna().sum() == (answers["at"] == 0.5).sum() == len(answers) / 2 == 36
+    sliders = study.table[study.table["question"] == "relation"]
+    assert sliders["rating"].between(0, 100).all()
+    assert sliders["rating"].nunique() > 10
+    found = ppl.evaluate(events, "predicate", judgments=study, workers=1, progress=False)
+    assert found.metrics["moments"]["by_moment"][0]["n"] == 36
+    assert found.metrics["moments"]["log_score"]["value"] < 0
 
 
 def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> None:

@@ -13,12 +13,14 @@ from phase_ppl.evaluation.figures.rows import accuracy, correlation, equivalence
 from phase_ppl.evaluation.figures.grids import confusion, costs, differences, film_strips
 from phase_ppl.evaluation.figures.grids import scatter_goals, scatter_relations
 from phase_ppl.evaluation.figures.doubt import people
+from phase_ppl.evaluation.figures.moments import by_moment, over_time
 from phase_ppl.evaluation.figures.experiments import likeness, tags
 # isort: on
 
 __all__ = [
     "DRAWINGS",
     "accuracy",
+    "by_moment",
     "confusion",
     "correlation",
     "costs",
@@ -27,6 +29,7 @@ __all__ = [
     "equivalence",
     "film_strips",
     "likeness",
+    "over_time",
     "people",
     "scatter_goals",
     "scatter_relations",
