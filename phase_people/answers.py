@@ -61,7 +61,9 @@ class Answers:
                 counts[question][event] = given
         counts = {question: n for question, n in counts.items() if n.any()}
         if not counts:
-            raise ppl.errors.InvalidEventError("nobody judged any of the events")
+            some = any(one is not None and one.moments for one in found.values())
+            how = ", but at moments of the films: moments=True fits to these" if some else ""
+            raise ppl.errors.InvalidEventError(f"nobody judged any of the events{how}")
         named = all(one.responses for one in judged.values())
         names = sorted({who for one in judged.values() for who in one.responses} if named else ())
         place = {who: i for i, who in enumerate(names)}

@@ -26,6 +26,7 @@ def fit_people(
     *,
     source: Source = "stepwise",
     perception: Perception | None = None,
+    moments: bool = False,
     draws: int = 500,
     warmup: int = 500,
     chains: int = 2,
@@ -50,6 +51,10 @@ def fit_people(
             computed twice. Also event id -> posterior or prediction; evidence; or None, for
             surface cues alone.
         perception: noisy readings of the videos; the model is asked about each.
+        moments: fit to judgments at moments of the films, not of whole films. Each moment counts as
+            a video of its own that ends there; so intervals are too narrow where people say the
+            same at several. Response times do not count. The model's posterior must be of the
+            closed loop, or its predictions know the moments.
         draws, warmup, chains: of NUTS; draws and warmup are per chain.
         seed: of NUTS, of the readings and of the model.
         workers, progress, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
@@ -68,13 +73,49 @@ def fit_people(
     if study is not None and not isinstance(study, ppl.Study):
         study = ppl.load_judgments(study, everything)
     chosen = everything if study is None else ppl.with_judgments(everything, study)
-    answers = Answers.of(chosen, study)
     asking = {"workers": workers, "progress": progress, "seed": seed, **options}
+    if moments:
+        if perception is not None or isinstance(source, Evidence):
+            raise ppl.errors.InvalidSettingError("moments: not with perception, nor with evidence")
+        made = None if source is None else asked_about(chosen, source, **asking)
+        chosen, source = _stopped(chosen, made)
+        study = None
+    answers = Answers.of(chosen, study)
     evidence = evidence_from(chosen, source, perception, **asking)
     found = sampled(
         program, name, evidence, answers, draws=draws, warmup=warmup, chains=chains, seed=seed
     )
     return dataclasses.replace(found, perception=perception)
+
+
+def _stopped(
+    events: Sequence[ppl.Event], made: Mapping[str, Made] | None
+) -> tuple[list[ppl.Event], dict[str, Made] | None]:
+    """Return an event for each moment at which people judged, and what the model made of it."""
+    found: list[ppl.Event] = []
+    until: dict[str, Made] = {}
+    for event in events:
+        judged = ppl.Judgments.of(event)
+        for at, then in () if judged is None else judged.moments.items():
+            seen = event.observation.until(at)
+            name = f"{event.id} until {at:g} s"
+            stopped = dataclasses.replace(
+                event, id=name, observation=seen, judgments=then.to_record(), predictions=None
+            )
+            found.append(stopped)
+            one = None if made is None else made[event.id]
+            if isinstance(one, ppl.StepwisePosterior):
+                until[name] = one.at(min(seen.n_frames - 1, one.frame))
+            elif isinstance(one, ppl.Prediction) and at in one.moments:
+                until[name] = one.at(at)
+            elif made is not None:
+                raise ppl.errors.InvalidSettingError(
+                    f"event {event.id!r}: what the model said at {at:g} s is not known; "
+                    "source='stepwise' is known at every moment"
+                )
+    if not found:
+        raise ppl.errors.InvalidEventError("nobody judged any of the events at a moment")
+    return found, None if made is None else until
 
 
 def evidence_from(

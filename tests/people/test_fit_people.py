@@ -232,6 +232,31 @@ def test_fits_without_people_or_by_nobody_are_refused() -> None:
         ppl.fit_people([event], None, "nobody", source=model)
 
 
+def test_judgments_at_moments_are_fitted_as_films_that_end_there() -> None:
+    """People agree with the model early and doubt later; graded answers count by their shares."""
+    event = ppl.load_event("collaborate")
+    surely = np.array([0.8, 0.1, 0.1])
+    made = ppl.Prediction(
+        event.id, {"relation": surely}, moments={at: {"relation": surely} for at in (1.0, 3.0)}
+    )
+    rows = [
+        {"participant": f"p{who}", "at": at, "relation": {"friendly": p, "neutral": 1 - p}}
+        for who in range(5)
+        for at, p in ((1.0, 0.8), (3.0, 0.4))
+    ]
+    judged = dataclasses.replace(event, judgments={"responses": rows})
+    given: Any = {"source": {event.id: made}, "draws": 20, "warmup": 20, "chains": 1}
+    with pytest.raises(InvalidEventError, match="at moments of the films: moments=True"):
+        ppl.fit_people([judged], **given)
+    fit = ppl.fit_people([judged], moments=True, **given)
+    assert fit.evidence.events == ("collaborate until 1 s", "collaborate until 3 s")
+    np.testing.assert_allclose(fit.answers.counts["relation"], [[4, 1, 0], [2, 3, 0]])
+    assert fit.answers.raters == tuple(f"p{who}" for who in range(5))
+    plain = {event.id: ppl.Prediction(event.id, {"relation": surely})}
+    with pytest.raises(InvalidSettingError, match="what the model said at 1 s is not known"):
+        ppl.fit_people([judged], moments=True, **{**given, "source": plain})
+
+
 def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video() -> None:
     event = ppl.load_event("independent")
     alone = ppl.evaluate([event], "chance", progress=False)
