@@ -339,7 +339,7 @@ def _is_missed(viewing: Mapping[str, Any], accepted: Mapping[str, Sequence[str]]
 
 def _leading(answer: Any) -> Any:
     """Return an answer; of sliders, the label that is highest."""
-    return max(answer, key=lambda label: answer[label]) if isinstance(answer, dict) else answer
+    return max(answer, key=dict(answer).__getitem__) if isinstance(answer, dict) else answer
 
 
 def _totals(people: Sequence[Mapping[str, Any]]) -> str:
