@@ -38,7 +38,7 @@ PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 player; or nobody, so that they stand still."""
 
 SECONDS: Final = 120  # longest game
-_STAYS: Final = 4  # frames for which a goal must hold
+_STAYS: Final = 12  # frames for which a goal must hold, 3 s
 _LEVELS: Final = reader.MODEL.likelihood.tracking.strengths
 
 
@@ -82,9 +82,9 @@ class Live:
         self._rng = np.random.default_rng(ppl.errors.whole_number("seed", seed, minimum=0))
         usual = Settings.parse(template("play", "")).play
         limit = SECONDS * usual.steps_per_second
-        # neither both goals nor a lost connection end it
+        # neither both goals nor a lost connection end it; agents glide, as in PHASE's videos
         self._settings = dataclasses.replace(
-            usual, limit=limit, hold=limit + 1, rejoin_within=math.inf
+            usual, limit=limit, hold=limit + 1, rejoin_within=math.inf, resets_velocity=False
         )
         self.seats = Seat("first"), Seat("second")
         self.opening: list[Callable[[], Any]] = []
@@ -342,6 +342,8 @@ class Live:
                 self._pause("asked")
             case {"t": "back", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
                 self._later(self._back(frame))
+            case {"t": "look", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
+                self._tell("look", self._game, frame)
             case {"t": "view", "all": bool(everything)}:
                 self._wishes.sees_all = everything
                 view = "all" if everything else "own"

@@ -44,8 +44,8 @@ class Reader:
     def __init__(self, scene: ppl.Scene) -> None:
         self.scene = scene
         self._watch = ppl.watch(scene, MODEL, event_id="live")
-        self._n = 0
-        self._seen: list[list[int | None]] = []  # per agent, the frame it last saw each entity in
+        # by frame and agent, the frame in which it last saw each entity
+        self._seen: list[list[list[int | None]]] = []
         self._why: Said | None = None
 
     def close(self) -> None:
@@ -55,21 +55,23 @@ class Reader:
     def take(self, poses: NDArray[np.float64]) -> None:
         """Take in the next frame, (entity, [x, y, angle])."""
         self._watch.take(poses)
-        n_agents = len(self.scene.world.agents)
-        self._seen = self._seen or [[None] * len(poses) for _ in range(n_agents)]
-        for agent, last in enumerate(self._seen):
+        n_agents, frame = len(self.scene.world.agents), len(self._seen)
+        before = self._seen[-1] if frame else [[None] * len(poses)] * n_agents
+        self._seen.append([list(last) for last in before])
+        for agent, last in enumerate(self._seen[-1]):
             sight = ppl.render.field_of_view(self.scene, poses, agent)[1:]
             for entity, (x, y, _) in enumerate(poses):
                 reach = np.hypot(*(sight - (x, y)).T).min() if len(sight) else np.inf
                 # agents are trapezoids, whose corners are further out than a disc's edge
                 size = self.scene.radius[entity] * (1.8 if entity < n_agents else 1.0)
                 if entity == agent or reach <= size + _NEAR:
-                    last[entity] = self._n
-        self._n += 1
+                    last[entity] = frame
 
-    def reading(self, agent: int) -> Said:
-        """Return what is believed now; the reason is about one agent's goal."""
+    def reading(self, agent: int, frame: int | None = None) -> Said:
+        """Return what is believed now, or was after a frame; why, of one agent's goal."""
         post = self._watch.posterior()
+        if frame is not None:
+            post = post.at(frame)
         rows, weights = post.table, post.table.weights / post.table.weights.sum()
 
         def shares(name: str) -> list[float]:
@@ -77,11 +79,13 @@ class Reader:
             return np.bincount(rows.values[name], weights, len(labels or ())).round(4).tolist()
 
         levels = MODEL.likelihood.tracking.strengths
-        found, frame = post.dataset, self._n - 1
-        poses = found["trajectory"].values[-1]
-        held = found["held"].values[-1].tolist()
-        if frame >= WHY_EVERY + (0 if self._why is None else self._why["frame"]):
-            self._why = self._reason(post, agent)
+        asked, frame = frame is not None, post.frame
+        poses, seen = post.observed()[-1], self._seen[frame]
+        held = post.dataset["held"].values[frame].tolist()
+        why = self._why
+        if asked or frame >= WHY_EVERY + (0 if why is None else why["frame"]):
+            why = self._reason(post, agent) if frame else None
+            self._why = self._why if asked else why
         return {
             "frame": frame,
             "goals": [shares(name) for name in post.goals_of.values()],
@@ -92,23 +96,23 @@ class Reader:
                 [float(weights[rows.values[name] == level].sum().round(4)) for level in levels]
                 for name in post.strengths_of.values()
             ],
-            "seen": self._seen,
-            "sights": [outline(self.scene, poses, one) for one in range(len(self._seen))],
+            "seen": seen,
+            "sights": [outline(self.scene, poses, one) for one in range(len(seen))],
             "held": [int(item) if item >= 0 else NOTHING for item in held],
-            "why": self._why,
+            "why": why,
         }
 
-    def _reason(self, post: ppl.StepwisePosterior, agent: int) -> Said | None:
+    def _reason(self, post: ppl.StepwisePosterior, agent: int) -> Said:
         """Return which frames spoke for an agent's likeliest goal over the next one."""
         world = self.scene.world
         name = post.goals_of[world.agents[agent]]
         (goal, _), (other, _) = post.top(name, 2)
         change = post.why(f"{name}={goal}", f"{name}={other}")["change"].values
-        deciding = int(np.abs(change).argmax())
+        deciding = int(change.argmax())
         done = post.dataset["actions"].values[deciding, agent]
         names = post.dataset["action"].values
         return {
-            "frame": self._n - 1,
+            "frame": post.frame,
             "goal": goal,
             "over": other,
             "last": _times(change[-WHY_EVERY:].sum()),
@@ -133,7 +137,7 @@ class Reader:
         """
         found = self._watch.posterior().do(at=at, seconds=seconds, n=4, workers=1, **change)
         found.film(path)
-        return str(found)
+        return str(found).replace("\n  ", " ")
 
 
 def _times(nats: float) -> float:
@@ -144,9 +148,9 @@ def _times(nats: float) -> float:
 def serve(pipe: Connection) -> None:
     """Read what comes through a pipe until it is closed.
 
-    Messages to it: ("begin", game, scene, agent), ("frame", game, poses), ("make", number, name of
-    a method, arguments). Messages from it: ("ready",), ("reading", game, what is believed),
-    ("made", number, text), ("failed", game or number, text).
+    Messages to it: ("begin", game, scene, agent), ("frame", game, poses), ("look", game, frame),
+    ("make", number, name of a method, arguments), ("warm up", scene). Messages from it: ("ready",),
+    ("reading", game, what is believed), ("broken", game, text), ("made" or "failed", number, text).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
     reader, game, agent = None, -1, 0
@@ -161,6 +165,8 @@ def serve(pipe: Connection) -> None:
                     reader.take(poses)
                     if not pipe.poll():
                         pipe.send(("reading", game, reader.reading(agent)))
+                case ("look", of, frame) if of == game and reader is not None:
+                    pipe.send(("reading", game, reader.reading(agent, frame)))
                 case ("make", number, what, given) if reader is not None:
                     try:
                         pipe.send(("made", number, getattr(reader, what)(**given)))

@@ -43,7 +43,7 @@ class Bars {
 /** The probabilities of one agent's goals over time. */
 function chart(canvas, readings, agent, goals, at) {
   const scale = window.devicePixelRatio || 1, pen = canvas.getContext("2d");
-  Object.assign(canvas, { width: canvas.clientWidth * scale, height: canvas.clientHeight * scale });
+  Object.assign(canvas, { width: Math.round(canvas.clientWidth * scale), height: Math.round(canvas.clientHeight * scale) });
   const last = Math.max(20, readings.length - 1), x = frame => 2 + frame / last * (canvas.width - 4), y = share => (1 - share) * (canvas.height - 6) + 3;
   for (const [place, goal] of [...goals.entries()].reverse()) {
     pen.beginPath();
@@ -64,6 +64,7 @@ class Live {
     this.state = "waiting";
     this.waiting = [];   // presses that no picture shows yet
     this.heard = 0;
+    this.games = 0;
     this.canvas = element("canvas", { role: "img", tabindex: 0, width: 560, height: 560, "aria-label": "The game, seen from above" });
     this.view = new View(this.canvas);
     this.heading = element("h1", {}, "What does the model believe you want?");
@@ -77,8 +78,9 @@ class Live {
     this.pad = element("div", { class: "pad", role: "group", "aria-label": "Steer" }, ...pads.map(([key, sign]) => element("button", { type: "button", "aria-label": key,
       pointerdown: event => { event.preventDefault(); this.press(key, true); }, pointerup: () => this.press(key, false), pointercancel: () => this.press(key, false),
       pointerleave: () => this.press(key, false), contextmenu: event => event.preventDefault() }, sign)));
-    const keys = element("p", { class: "small" }, ...HELP.flatMap(([key, arrow, does]) => [element("kbd", {}, key), arrow ? element("kbd", {}, arrow) : null, ` ${does}  `]));
-    const game = element("section", { class: "game", "aria-label": "The game" }, this.canvas, this.status, this.pad);
+    const keys = element("p", { class: "small keys" }, ...HELP.flatMap(([key, arrow, does]) => [element("kbd", {}, key), arrow ? element("kbd", {}, arrow) : null, ` ${does}  `]));
+    this.brief = element("p", { class: "brief" });
+    const game = element("section", { class: "game", "aria-label": "The game" }, this.canvas, this.brief, this.status, this.pad);
     if (SECOND) { main.append(element("div", { class: "live" }, this.heading, this.goal, game)); this.heading.textContent = "The second player"; game.append(keys); return; }
     game.append(element("div", { class: "buttons" }, this.goButton, this.slider, this.clock),
       element("div", { class: "buttons" }, button("Start over", () => this.begin()), this.newScene = button("Another scene", () => this.begin({ new_scene: true })),
@@ -91,7 +93,8 @@ class Live {
     this.setup = element("details", {}, element("summary", {}, "Who plays what"));
     this.whatIf = element("details", {}, element("summary", {}, "What if \u2026"));
     main.append(element("div", { class: "live" }, this.heading, this.goal, game, element("section", { "aria-label": "What the model believes" },
-      this.minds, this.chart, element("h3", {}, "Why"), this.why, this.lag, this.setup, this.whatIf, this.films)));
+      this.minds, this.chart, element("h3", {}, "Why"), this.why, this.lag, this.setup, this.whatIf)));
+    game.append(this.films);
   }
 
   start() {
@@ -164,7 +167,8 @@ class Live {
     if (this.state === "going") this.send({ t: "pause" });
     this.looking = frame;
     this.picture(frame);
-    this.believe(frame);
+    if (this.readings[frame]) this.believe(frame);
+    else this.send({ t: "look", frame }); // it was late for this one
     this.labels();
   }
 
@@ -189,6 +193,7 @@ class Live {
     setup(message) { this.choices = message; this.wishes = message.wishes; this.offer(); if (message.awake) this.heed.awake.call(this); },
     scene(message) {
       this.scene = message;
+      this.games++;
       this.view.begin(message);
       const kept = this.kept === undefined ? 0 : this.kept + 1;
       this.reads = [];
@@ -209,9 +214,9 @@ class Live {
     reading(message) {
       const { frame } = message;
       this.readings[frame] = message;
-      for (let k = frame - 1; k >= 0 && !this.readings[k]; k--) this.readings[k] = { ...message, frame: k, late: true };
       if (this.state === "going" && frame) latency.reading.push(performance.now() - this.shownAt[frame]);
-      if (this.looking === null) this.believe(frame);
+      if (this.looking === frame) this.picture(frame);
+      if (this.looking === null || this.looking === frame) this.believe(frame);
       this.behind();
     },
     waiting() { this.state = "waiting"; this.status.textContent = this.reads.length > 1 ? "Press a key to go on from here." : "Press a key to begin."; this.labels(); },
@@ -234,7 +239,7 @@ class Live {
     made(message) {
       const source = `/film/${message.number}.mp4`;
       document.getElementById(`film-${message.number}`)?.replaceChildren(...message.text.split("\n").map(line => element("p", {}, line)),
-        element("video", { src: source, controls: true, playsinline: true, muted: true, "aria-label": "The film" }),
+        Object.assign(element("video", { src: source, controls: true, playsinline: true, loop: true, "aria-label": "The film" }), { muted: true, autoplay: true }),
         element("p", {}, element("a", { href: source, download: "live.mp4" }, "Save the film")));
     },
     failed(message) { document.getElementById(`film-${message.number}`)?.replaceChildren(element("p", { role: "alert" }, message.text)); },
@@ -279,6 +284,8 @@ class Live {
       this.relations.get(pair).show(shares, k => RELATIONS[k], k => RELATION_COLOURS[k]);
     }
     this.why.textContent = this.reason(reading.why);
+    const [first] = this.bars[me].goals.order;
+    this.brief.textContent = `The model: you want to ${this.word(me, first)}, ${percent(reading.goals[me][first])}.`;
     chart(this.chart, this.readings, me, this.bars[me].goals.order, frame);
     this.tellEnd();
   }
@@ -302,13 +309,13 @@ class Live {
     const me = this.scene.agent, quoted = goal => `\u201c${this.word(me, goal)}\u201d`;
     const did = why.did ? `you ${why.did}` : "you moved";
     return `${quoted(why.goal)} rather than ${quoted(why.over)}: the last second made it ${times(why.last)}. `
-      + `One moment decided most: at ${seconds(why.deciding)} ${did}, which made it ${times(why.by)}. (Tempered: each frame counts 0.2.)`;
+      + `The frame that spoke most for it was at ${seconds(why.deciding)}: ${did}, which made it ${times(why.by)}. (Tempered: a frame counts 0.2.)`;
   }
 
   /** Once the player is there, what the model says of their goal. */
   tellEnd() {
     const frame = this.reads.length - 1, reading = this.readings[frame];
-    if (!this.atEnd || !reading || reading.late) return;
+    if (!this.atEnd || !reading) return;
     const share = reading.goals[this.scene.agent][this.choices.goals.indexOf(this.scene.goals[this.scene.agent])];
     this.status.textContent = `You are there! The model gives your goal ${percent(share)}.`;
     this.atEnd = false;
@@ -316,7 +323,7 @@ class Live {
 
   behind() {
     if (SECOND || this.lost) return;
-    const last = this.readings.findLastIndex(one => one && !one.late), n = Math.max(0, this.reads.length - 1 - last);
+    const last = this.readings.length - 1, n = Math.max(0, this.reads.length - 1 - last);
     const told = (name, values) => values.length ? ` ${name} ${Math.round(quantile(values, 0.5))} ms (95 %: ${Math.round(quantile(values, 0.95))} ms).` : "";
     this.lag.textContent = (last < 0 ? "The model wakes up, which takes some seconds. You can play meanwhile." : n < 2 ? "Read up to now." : `Readings lag ${n} frames behind.`)
       + told("Key to picture", latency.key) + told("Picture to posterior", latency.reading);
@@ -327,6 +334,7 @@ class Live {
   offer() {
     const { agents, goals, possible, partners, levels, draws, wishes, entities, keys } = this.choices;
     const select = (name, options, value, change) => element("select", { name, change: change ?? false }, ...options.map(([key, text]) => element("option", { value: key, selected: String(key) === String(value) }, text)));
+    const named = (text, control) => { control.setAttribute("aria-label", text); return control; };
     const labelled = (text, control) => element("label", {}, text, control);
     const wanted = (agent, first) => [...first, ...possible[agent].map(goal => [goal, this.word(agent, goals.indexOf(goal))])];
     const goalOf = agent => select("goal", wanted(agent, [["", "draw one for me"]]), wishes.goal);
@@ -347,8 +355,8 @@ class Live {
 
     const changes = new Map([["next", { label: "nothing changed: what comes next?", control: () => null, change: () => ({}) }]]);
     for (const [k, name] of agents.entries()) {
-      changes.set(`goal-${k}`, { label: `${name} wanted to`, control: () => select("to", wanted(k, []), ""), change: value => ({ [`goal_${keys[k]}`]: value }) });
-      changes.set(`strength-${k}`, { label: `${name} had a strength of`, control: () => select("of", newtons, ""), change: value => ({ [`strength_${keys[k]}`]: Number(value) }) });
+      changes.set(`goal-${k}`, { label: `${name} wanted to`, control: () => named("What they wanted", select("to", wanted(k, []), "")), change: value => ({ [`goal_${keys[k]}`]: value }) });
+      changes.set(`strength-${k}`, { label: `${name} had a strength of`, control: () => named("Strength", select("of", newtons, "")), change: value => ({ [`strength_${keys[k]}`]: Number(value) }) });
     }
     for (const [k, name] of entities.entries()) changes.set(`remove-${k}`, { label: `there were no ${name.replace(/^the /, "")}`, control: () => null, change: () => ({ remove: this.choices.names[k] }) });
     const more = element("span", {});
