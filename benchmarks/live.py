@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from study_rooms import shares
 
 import phase_ppl as ppl
-from phase_study.live import live
+from phase_study.live import Live
 from tests.browser import running_browser
 
 LOOKS: Final = 24  # directions that a script considers
@@ -99,8 +99,8 @@ def served(seed: int) -> Iterator[str]:
     """Yield the address of a live game."""
     told: queue.SimpleQueue[str] = queue.SimpleQueue()
     server: list[Any] = []
-    how: dict[str, Any] = {"seed": seed, "ready": told.put, "keep": server.append}
-    thread = threading.Thread(target=live, args=("PHASE", 0), kwargs=how)
+    how: dict[str, Any] = {"ready": told.put, "keep": server.append}
+    thread = threading.Thread(target=Live("PHASE", seed).run, args=(0,), kwargs=how)
     thread.start()
     yield told.get()
     server[0].should_exit = True

@@ -32,6 +32,7 @@ from phase_study.room import Message, Room, Seat
 from phase_study.server import STATIC, Rates, application, same_origin
 from phase_study.settings import Settings, template
 from phase_study.sockets import talk
+from phase_study.study import serve
 
 PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 """Who the other agents are: the planner with a goal of its own, with mine, or against it; a second
@@ -67,14 +68,23 @@ class Wishes:
 
 
 class Live:
-    """The game that is being played, its players, and its reader.
+    """A live game: steer an agent in the browser, and see what the model believes you want.
+
+    Example:
+        ``ppl.study.Live("trio").run()``
 
     Args:
-        scenes: a scene to play in, or a world, whose scenes are drawn.
+        scenes: a scene to play in, or a world or the name of a ready-made one, whose scenes are
+            drawn.
         seed: of scenes, goals, and the planner.
+
+    Raises:
+        UnknownNameError: there is no such world.
     """
 
-    def __init__(self, scenes: ppl.Scene | ppl.World, seed: int = 0) -> None:
+    def __init__(self, scenes: ppl.Scene | ppl.World | str = "PHASE", seed: int = 0) -> None:
+        if not isinstance(scenes, ppl.Scene):
+            scenes = ppl.worlds.named(scenes)
         self.world = scenes if isinstance(scenes, ppl.World) else scenes.world
         self._scenes = scenes
         self._changes = {f"{of}_{key}" for of in ("goal", "strength") for key in self.world.keys}
@@ -100,6 +110,27 @@ class Live:
         self._is_awake = False
 
     # --- its beginning and end --------------------------------------------------------------------
+
+    def run(
+        self,
+        port: int = 8000,
+        host: str = "127.0.0.1",
+        *,
+        ready: Callable[[str], object] = print,
+        keep: Callable[[Any], object] = lambda server: None,
+    ) -> None:
+        """Serve the game until it is interrupted.
+
+        Args:
+            port: port at which to listen; 0: a free one.
+            host: address at which to listen; by default this machine only.
+            ready: called with the address once people can come.
+            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
+
+        Raises:
+            OutputError: another server uses the port.
+        """
+        serve(self.app([host]), port, host, "", ready, keep)
 
     def app(self, names: Sequence[str] = ()) -> Starlette:
         """Return the application, which answers to ``names`` beside those of this machine."""
@@ -444,36 +475,3 @@ class Live:
             raise HTTPException(404, "there is no such film")
         return FileResponse(path, media_type="video/mp4", filename="live.mp4",
                             content_disposition_type="inline")  # fmt: skip
-
-
-def live(
-    scenes: ppl.Scene | ppl.World | str = "PHASE",
-    port: int = 8000,
-    host: str = "127.0.0.1",
-    *,
-    seed: int = 0,
-    ready: Callable[[str], object] = print,
-    keep: Callable[[Any], object] = lambda server: None,
-) -> None:
-    """Serve a live game until it is interrupted: steer an agent, and see what the model believes.
-
-    Args:
-        scenes: a scene to play in, or a world or the name of a ready-made one, whose scenes are
-            drawn.
-        port: port at which to listen; 0: a free one.
-        host: address at which to listen; by default this machine only.
-        seed: of scenes, goals, and the planner.
-        ready: called with the address once people can come.
-        keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
-
-    Raises:
-        InvalidSettingError: the extra ``study`` is missing.
-        UnknownNameError: there is no such world.
-        OutputError: another server uses the port.
-    """
-    from phase_study.study import serve
-
-    if not isinstance(scenes, ppl.Scene):
-        scenes = ppl.worlds.named(scenes)
-    app = Live(scenes, seed).app([host])
-    serve(app, port, host, "", ready, keep)

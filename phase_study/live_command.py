@@ -14,7 +14,7 @@ def live(options: Any) -> None:
     """Steer an agent in the browser, and see what the model believes you want.
 
     Beside the game stands the posterior over goals, relation and strengths, at every frame.
-    docs/live.md tells more. In Python, phase_study.live takes worlds of your own.
+    docs/live.md tells more. In Python, ppl.study.Live takes worlds of your own.
 
     Args:
         [EVENT]: play in the scene of an event file, or of a bundled event
@@ -29,15 +29,14 @@ def live(options: Any) -> None:
     from phase_study.study import check_extra
 
     check_extra()
-    from phase_study.live import live as serve
+    from phase_study.live import Live
 
     scenes = options.world or "PHASE"
     if options.event is not None:
         if options.world is not None:
             raise ppl.errors.InvalidSettingError("--world: an event has a world already")
         scenes = ppl.load_event(options.event, video=options.video).scene
+    game = Live(scenes, options.seed or 0)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with contextlib.suppress(KeyboardInterrupt):
-        options.call(
-            serve, scenes=scenes, ready=lambda url: print(f"{url}   Ctrl-C ends", flush=True)
-        )
+        options.call(game.run, ready=lambda url: print(f"{url}   Ctrl-C ends", flush=True))
