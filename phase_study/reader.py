@@ -1,14 +1,15 @@
 """The reader of a live game: a process of its own that says what the model believes.
 
 It is given a scene, and then what is on show, frame by frame: places and angles of the bodies. It
-knows neither keys nor goals. The game never waits for it: a reading is made when no further frame
-is waiting, and left out otherwise.
+knows neither keys nor goals. The game never waits for it. It takes in all frames. It says what it
+believes when no further frame is waiting; otherwise once a second.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
+import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,6 +27,7 @@ MODEL: Final = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
 WHY_EVERY: Final = 4  # frames: once a second
 _NEAR: Final = 0.05  # how far from a body a ray of sight may end, units
 _LIKELY: Final = 0.5
+_LATE_EVERY: Final = 1.0  # seconds between readings while it is behind
 
 DID: Final[Mapping[str, str]] = {
     "turnleft": "turned left", "turnright": "turned right", "up": "went forward",
@@ -153,7 +155,7 @@ def serve(pipe: Connection) -> None:
     ("reading", game, what is believed), ("broken", game, text), ("made" or "failed", number, text).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
-    reader, game, agent = None, -1, 0
+    reader, game, agent, said = None, -1, 0, 0.0
     while True:
         try:
             match pipe.recv():
@@ -163,7 +165,8 @@ def serve(pipe: Connection) -> None:
                     reader = Reader(scene)
                 case ("frame", of, poses) if of == game and reader is not None:
                     reader.take(poses)
-                    if not pipe.poll():
+                    if not pipe.poll() or time.monotonic() - said > _LATE_EVERY:
+                        said = time.monotonic()
                         pipe.send(("reading", game, reader.reading(agent)))
                 case ("look", of, frame) if of == game and reader is not None:
                     pipe.send(("reading", game, reader.reading(agent, frame)))
