@@ -1,4 +1,4 @@
-"""The paper's studies of people, in the browser: judgments, tags, played sessions, likeness.
+"""Studies of people in the browser, as in the paper, and live games that the model reads.
 
 An application of phase_ppl that uses its public names only.
 """
@@ -6,17 +6,23 @@ An application of phase_ppl that uses its public names only.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phase_study.live import Live
     from phase_study.study import Study
 
-__all__ = ["Study"]
+__all__ = ["Live", "Study"]
 
 
 def __getattr__(name: str) -> Any:
-    if name != "Study":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from phase_study.study import Study  # only when used: the list of commands does without it
+    # only when used: the list of commands does without them
+    if name == "Study":
+        from phase_study.study import Study
 
-    return Study
+        return Study
+    if name == "Live":
+        from phase_study.live import Live
+
+        return Live
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -148,7 +148,7 @@ def questions(settings: Settings, page: str) -> list[Page]:
         return [_one("labels", "What happens? Choose all that fit.", ppl.Tags.LABELS, kind="many")]
     world, pairs = settings.world, ppl.pairs_of(settings.world)
     options = ppl.questions_of(world)
-    found = [_goals(world, agent, settings.self_goals) for agent in range(len(world.agents))]
+    found = [goal_question(world, agent, settings.self_goals) for agent in range(len(world.agents))]
     for name, pair in pairs.items():
         who = "they" if len(pairs) == 1 else " and ".join(map(the, pair))
         one = _one(name, f"How do {who} stand to each other?", options[name])
@@ -165,7 +165,7 @@ def questions(settings: Settings, page: str) -> list[Page]:
 
 
 @functools.lru_cache(maxsize=64)
-def _goals(world: ppl.World, agent: int, self_goals: bool) -> Page:
+def goal_question(world: ppl.World, agent: int, self_goals: bool) -> Page:
     """Return the question about an agent's goal: tables of bodies and target places.
 
     Goals that are in no table are shown in a row below.

@@ -13,33 +13,31 @@ import asyncio
 import contextlib
 import dataclasses
 import functools
-import json
 import random
 import secrets
 import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 import phase_ppl as ppl
 from phase_study import plan
-from phase_study.room import KEYS, NOTHING, Controls, Message, Outbox, Room, Seat
-from phase_study.server import MOST_MESSAGE, Site, same_origin
+from phase_study.room import NOTHING, Controls, Message, Room, Seat
+from phase_study.server import Site, same_origin
+from phase_study.sockets import TOO_MANY, talk
 from phase_study.store import COMPLETE, Participant
 
 COUNTDOWN: Final = 3  # seconds before a session begins
-_PING: Final = 2.0
 _SAVED_EVERY: Final = 1.0
 _RETRY: Final = 5.0
 
-# codes that close a socket; applications use those above 4000
-_UNKNOWN, _UNFIT, _TOO_MANY, _ELSEWHERE, _TOO_LARGE = 4401, 4400, 4429, 4409, 1009
+_UNKNOWN: Final = 4401  # closes a socket; see ``talk``
 
 
 def routes(site: Site) -> list[BaseRoute]:
@@ -148,67 +146,13 @@ class Lobby:
             await socket.close(_UNKNOWN)
             return
         if not self.site.allow(f"socket {who.id}", 1, 10):
-            await socket.close(_TOO_MANY)
+            await socket.close(TOO_MANY)
             return
         seat = self._seats.setdefault(who.id, Seat(who.id))
-        seat.tell({"t": "elsewhere"})
-        seat.outbox = outbox = Outbox()
-        seat.controls.release()
-        for message in seat.stage():
-            seat.tell(message)
         attending = self._attending.get(who.id)
         if attending is None or attending.done():
             self._attending[who.id] = asyncio.create_task(self._attend(seat, who.id))
-        helpers = [
-            asyncio.create_task(_pump(socket, outbox)),
-            asyncio.create_task(_pinging(seat, outbox)),
-        ]
-        try:
-            while True:
-                code = self._heed(seat, await socket.receive())
-                if code is not None:
-                    await socket.close(code)
-                    break
-        except (WebSocketDisconnect, RuntimeError):
-            pass  # gone; or closed by the pump
-        finally:
-            for helper in helpers:
-                helper.cancel()
-            if seat.outbox is outbox:
-                seat.outbox = None
-                seat.gone_since = asyncio.get_running_loop().time()
-                seat.controls.release()
-
-    def _heed(self, seat: Seat, received: Any) -> int | None:
-        """Act on a browser's message; return a code to close with if the message is not allowed."""
-        if received["type"] == "websocket.disconnect":
-            raise WebSocketDisconnect(received.get("code") or 1000)
-        text = received.get("text")
-        if not self.site.allow(f"message {seat.who}", 60, 60):
-            return _TOO_MANY
-        if text is None:
-            return _UNFIT
-        if len(text.encode(errors="replace")) > MOST_MESSAGE:
-            return _TOO_LARGE
-        try:
-            given = json.loads(text)
-        except (ValueError, RecursionError):
-            return _UNFIT
-        match given:
-            case {"t": "key", "key": str(key), "down": bool(down)} if key in KEYS:
-                seat.controls.press(key, down)
-            case {"t": "release"}:
-                seat.controls.release()
-            case {"t": "ready"}:
-                seat.is_ready = True
-            case {"t": "pong"}:
-                if seat.pinged is not None:
-                    rtt = asyncio.get_running_loop().time() - seat.pinged
-                    seat.round_trips.append(1000 * rtt)
-                    seat.pinged = None
-            case _:
-                return _UNFIT
-        return None
+        await talk(socket, seat, lambda: self.site.allow(f"message {who.id}", 60, 60))
 
     # --- a participant's way through --------------------------------------------------------------
 
@@ -449,19 +393,3 @@ def _stage(room: Room, agent: int, described: Message, count: Sequence[Message])
     """Return the messages for a player who comes back into a session."""
     ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
     return [described, ready, *count, room.shown(agent)]
-
-
-async def _pump(socket: WebSocket, outbox: Outbox) -> None:
-    while True:
-        message = await outbox.get()
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await socket.send_text(json.dumps(message, separators=(",", ":")))
-            if message["t"] == "elsewhere":
-                await socket.close(_ELSEWHERE)
-
-
-async def _pinging(seat: Seat, outbox: Outbox) -> None:
-    while True:
-        await asyncio.sleep(_PING)
-        seat.pinged = asyncio.get_running_loop().time()
-        outbox.put({"t": "ping"})

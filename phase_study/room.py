@@ -1,4 +1,4 @@
-"""A room: a world that two players steer; each sees what its agent sees.
+"""A room: a world whose agents players steer; each sees what its agent sees.
 
 The server keeps the clock. A planner step takes one action of each player. Its five substeps are
 drawn while players press the keys of the next step. Nobody is waited for. A late clock stays late
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextlib
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -49,11 +50,13 @@ class Controls:
         self._unheeded: set[str] = set()
         self._taps: list[str] = []
         self._grabs = False
+        self._pressed = self.heard = 0  # presses ever; as far as they are in an action
 
     def press(self, key: str, down: bool) -> None:
         """Note that one of :data:`KEYS` went down or up; a repeated message changes nothing."""
         if down and key not in self._held:
             self._held.append(key)
+            self._pressed += 1
             self._grabs |= key == GRAB
             self._unheeded.add(key)
         elif not down and key in self._held:
@@ -78,6 +81,7 @@ class Controls:
         The latest of the held keys wins. Keys that went down and up between two steps come before
         them. "Grab" lets go if the agent holds something.
         """
+        self.heard = self._pressed
         if self._grabs:
             self._grabs = False
             return ppl.Action.DETACH if holds else ppl.Action.ATTACH
@@ -150,8 +154,7 @@ class Step(NamedTuple):
     """The record of a planner step: the columns of the table."""
 
     number: int
-    red: int
-    green: int
+    actions: Sequence[int]  # of each agent
     keys: Sequence[Sequence[str]]
     lag_ms: float
 
@@ -159,7 +162,7 @@ class Step(NamedTuple):
 class Picture(NamedTuple):
     """A moment of the world, and what each agent sees of it."""
 
-    poses: NDArray[np.float64]  # (4, 3) x, y [units], angle [rad]
+    poses: NDArray[np.float64]  # (entity, 3) x, y [units], angle [rad]
     seen: Sequence[Sequence[bool]]  # per agent, whether it observes each entity
     # for each agent the corners of its field of view; None if everything is shown
     sights: Sequence[list[list[float]] | None]
@@ -171,19 +174,24 @@ class Room:
 
     Args:
         scene: the scene as played, see :meth:`PlaySettings.scene`.
-        goals: effective goals of red and green.
-        strengths: of red and green, newtons.
+        goals: effective goals of the agents.
+        strengths: of the agents, newtons.
         settings: of the study.
-        seats: of red and green.
+        seats: of the agents.
         computer: a random generator for each seat without a person; None: its agent stands still.
         limit: steps after which the session ends.
+
+    Attributes:
+        going: while it is not set, no further step begins.
+        hurry: once it is set, the next step begins at once: what is left of the one on show is
+            shown without delay.
     """
 
     def __init__(
         self,
         scene: ppl.Scene,
-        goals: tuple[str, str],
-        strengths: tuple[float, float],
+        goals: Sequence[str],
+        strengths: Sequence[float],
         settings: PlaySettings,
         seats: Sequence[Seat],
         *,
@@ -197,8 +205,12 @@ class Room:
         self.frames: list[NDArray[np.float64]] = [scene.start.copy()]
         self.steps: list[Step] = []
         self.slip = 0.0
-        self._literals = [ppl.goals.goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+        self.literals = [
+            ppl.goals.goal_literal(goal, agent, scene.world) for agent, goal in enumerate(goals)
+        ]
         self._true_for = 0
+        self.going, self.hurry = asyncio.Event(), asyncio.Event()
+        self.going.set()
         self._computers = {
             agent: self.stage.planned(agent, goals, computer.spawn(1)[0])
             for agent, seat in enumerate(seats)
@@ -224,20 +236,28 @@ class Room:
             for agent, computer in self._computers.items()
         }
 
-    def _advance(self, actions: tuple[ppl.Action, ppl.Action]) -> list[Picture]:
+    def _advance(self, actions: Sequence[int]) -> list[Picture]:
         """Do one step; return its moments."""
         pictures = [self._picture() for _ in self.stage.substeps(actions)]
         self.frames.append(np.mean([picture.poses for picture in pictures], axis=0))
         reached = [
-            ppl.goals.is_true(literal, self.frames[-1], self.scene) for literal in self._literals
+            ppl.goals.is_true(literal, self.frames[-1], self.scene) for literal in self.literals
         ]
         self._true_for = self._true_for + 1 if all(reached) else 0
         return pictures
 
+    def repeat(self, steps: Sequence[Step]) -> None:
+        """Do steps of an earlier room of the same scene again, without showing them."""
+        for step in steps:
+            for computer in self._computers.values():
+                computer.decide()  # it must have seen the same
+            self.picture = self._advance(step.actions)[-1]
+            self.steps.append(step)
+
     @property
     def ends_by_goals(self) -> bool:
         """Whether it ends when both goals are true; not so for "away from", true from the start."""
-        return all(literal.positive for literal in self._literals)
+        return all(literal.positive for literal in self.literals)
 
     def outcome(self) -> str | None:
         """Return how it ended: "goals", "time" or "left"; None: it goes on."""
@@ -266,29 +286,36 @@ class Room:
         planning = asyncio.ensure_future(self._planned())
         try:
             while (outcome := self.outcome() or (done(self) if done else None)) is None:
+                if not self.going.is_set():
+                    await self.going.wait()
+                    due = loop.time()
                 planned = await planning
+                self.hurry.clear()
                 keys = [seat.controls.pressed() for seat in self.seats]
                 held = self.stage.state.held.tolist()
-                red, green = (
-                    planned.get(agent, seat.controls.action(held[agent] != NOTHING))
+                actions = [
+                    int(planned.get(agent, seat.controls.action(held[agent] != NOTHING)))
                     for agent, seat in enumerate(self.seats)
-                )
-                pictures = self._advance((red, green))
+                ]
+                pictures = self._advance(actions)
                 planning = asyncio.ensure_future(self._planned())  # while the step is shown
                 lag = 0.0
                 for number, self.picture in enumerate(pictures):
                     due += interval
                     # sleeps even when late: other rooms must get their turn
-                    await asyncio.sleep(max(0.0, due - loop.time()))
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout_at(due):
+                            await self.hurry.wait()
                     late = loop.time() - due
                     lag = max(lag, late)
                     if late > interval:
                         due += late
                     for agent, seat in enumerate(self.seats):
                         seat.tell(self.shown(agent, number))
+                if self.hurry.is_set():
+                    due = loop.time() - interval  # the first picture is due now
                 self.slip = max(self.slip, lag)
-                number = len(self.steps) + 1
-                self.steps.append(Step(number, int(red), int(green), keys, 1000 * lag))
+                self.steps.append(Step(len(self.steps) + 1, actions, keys, 1000 * lag))
         finally:
             planning.cancel()
         return outcome
@@ -310,20 +337,25 @@ class Room:
             "held": [item if seen[agent][i] else NOTHING for i, item in enumerate(held)],
             "left": round(left / self.settings.steps_per_second, 1),
             "true": self._true_for,
+            "step": steps,
+            "heard": self.seats[agent].controls.heard,
         }
 
     def described(self, agent: int) -> Message:
         """Return what everybody knows of the scene, and each player's agent."""
-        scene = self.scene
+        scene, world = self.scene, self.scene.world
         return {
             "t": "scene",
             "agent": agent,
             "goals": list(self.goals),
+            "n_agents": len(world.agents),
             "radius": scene.radius.tolist(),
             "walls": scene.walls.tolist(),
             "arena": list(scene.arena),
             "landmarks": scene.landmark_centres.tolist(),
-            "half_width": scene.landmark_half_width,
+            "half_widths": scene.half_widths.tolist(),
+            "colours": [list(colour) for colour in world.entity_colours],
+            "landmark_colours": [list(one.colour) for one in world.landmarks],
             "interval": 1 / (self.settings.steps_per_second * ppl.Stage.SUBSTEPS),
             "ends_by_goals": self.ends_by_goals,
             "partner": "computer" if self._computers else "person",

@@ -59,7 +59,25 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Site:
+class Rates:
+    """How often what may happen."""
+
+    def __init__(self) -> None:
+        self._buckets: dict[str, tuple[float, float]] = {}
+
+    def allow(self, what: str, rate: float, burst: float) -> bool:
+        """Return whether ``what`` may happen: ``rate`` times a second, ``burst`` at once."""
+        now = time.monotonic()
+        left, before = self._buckets.pop(what, (burst, now))
+        left = min(burst, left + (now - before) * rate)
+        allowed = left >= 1
+        self._buckets[what] = left - allowed, now
+        if len(self._buckets) > 10_000:
+            del self._buckets[next(iter(self._buckets))]
+        return allowed
+
+
+class Site(Rates):
     """A study that is being served; ``secure``: over TLS, so that cookies are for TLS only."""
 
     def __init__(
@@ -69,9 +87,9 @@ class Site:
         events: Mapping[str, ppl.Event],
         secure: bool = False,
     ) -> None:
+        super().__init__()
         self.folder, self.settings, self.events, self.secure = folder, settings, events, secure
         self._thread = ThreadPoolExecutor(1, "store")
-        self._buckets: dict[str, tuple[float, float]] = {}
         self.opening: list[Callable[[], Awaitable[None]]] = []
         self.closing: list[Callable[[], Awaitable[None]]] = []
         self.store: Store
@@ -126,17 +144,6 @@ class Site:
         if found is None:
             raise HTTPException(401, "you are not known here; please open the study's address anew")
         return found
-
-    def allow(self, what: str, rate: float, burst: float) -> bool:
-        """Return whether ``what`` may happen: ``rate`` times a second, ``burst`` at once."""
-        now = time.monotonic()
-        left, before = self._buckets.pop(what, (burst, now))
-        left = min(burst, left + (now - before) * rate)
-        allowed = left >= 1
-        self._buckets[what] = left - allowed, now
-        if len(self._buckets) > 10_000:
-            del self._buckets[next(iter(self._buckets))]
-        return allowed
 
 
 def same_origin(connection: HTTPConnection) -> bool:
@@ -203,11 +210,19 @@ def create_app(site: Site, names: Sequence[str] = (), more: Sequence[BaseRoute] 
         Route("/api/note", pages.note, methods=["POST"]),
         Route("/video/{name}.mp4", pages.video),
         Route("/clip/{name}.mp4", pages.clip),
-        Mount("/static", StaticFiles(directory=STATIC)),
     ]
+    app = application([*routes, *more], lifespan, names)
+    app.state.site, app.state.opening = site, site.opening
+    return app
+
+
+def application(
+    routes: Sequence[BaseRoute], lifespan: Callable[[Starlette], Any], names: Sequence[str] = ()
+) -> Starlette:
+    """Return an application with :data:`STATIC`, which answers to this machine's names and more."""
     hosts = ["localhost", "127.0.0.1", "[::1]", "::1", *names]
-    app = Starlette(
-        routes=[*routes, *more],
+    return Starlette(
+        routes=[*routes, Mount("/static", StaticFiles(directory=STATIC))],
         lifespan=lifespan,
         middleware=[
             Middleware(SafeHeaders),
@@ -215,8 +230,6 @@ def create_app(site: Site, names: Sequence[str] = (), more: Sequence[BaseRoute] 
         ],
         exception_handlers={HTTPException: _refusal},
     )
-    app.state.site = site
-    return app
 
 
 async def _refusal(request: Request, error: Exception) -> Response:

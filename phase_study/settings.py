@@ -53,7 +53,7 @@ class PlaySettings:
     partner: Literal["either", "person", "computer"]
     wait_at_most: int
     ready_within: int
-    rejoin_within: int
+    rejoin_within: float
     practice_at_most: int
     rooms: int
 

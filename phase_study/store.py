@@ -464,10 +464,12 @@ class Store:
                 run("INSERT INTO player VALUES(?,?,?,NULL)", (session, agent, who))
         return session
 
-    def add_steps(self, session: str, steps: Iterable[tuple[int, int, int, Any, float]]) -> None:
+    def add_steps(
+        self, session: str, steps: Iterable[tuple[int, Sequence[int], Any, float]]
+    ) -> None:
         """Store steps: number, actions of red and green, keys (JSON), lag in milliseconds."""
         with self._writing() as run:
-            for number, red, green, keys, lag in steps:
+            for number, (red, green), keys, lag in steps:
                 values = session, number, red, green, json.dumps(keys), lag
                 run("INSERT OR IGNORE INTO step VALUES(?,?,?,?,?,?)", values)
 

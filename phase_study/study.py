@@ -246,32 +246,12 @@ class Study:
             )
         warnings = self.check()
         app = self.app(url, host)
-        import uvicorn
-
-        from phase_study.server import MOST_MESSAGE
-
         if host not in _LOOPBACK and not url.startswith("https:"):
             warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
         for warning in warnings:
             print(f"phase-ppl: note: {warning}", file=sys.stderr)
-        with ppl.files.locked(self.folder), _listening(host, port) as listener:
-            config = uvicorn.Config(
-                app, access_log=False, log_level="warning", server_header=False,
-                proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
-                ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
-            )  # fmt: skip
-            shown = f"[{host}]" if ":" in host else host
-            address = url or f"http://{shown}:{listener.getsockname()[1]}/"
-
-            async def tell() -> None:
-                ready(address)  # people who come before the first request is answered wait
-
-            app.state.site.opening.append(tell)
-            server = uvicorn.Server(config)
-            keep(server)
-            server.run(sockets=[listener])
-            if not server.started:
-                raise ppl.errors.OutputError("the server did not start")
+        with ppl.files.locked(self.folder):
+            serve(app, port, host, url, ready, keep)
 
     # --- results ----------------------------------------------------------------------------------
 
@@ -325,6 +305,42 @@ class Study:
 
     def __repr__(self) -> str:
         return f"<Study of {self.settings.kind} in {self.folder}>"
+
+
+def serve(
+    app: Any,
+    port: int,
+    host: str,
+    url: str,
+    ready: Callable[[str], object],
+    keep: Callable[[Any], object],
+) -> None:
+    """Serve an application until it is interrupted; arguments and errors as of :meth:`Study.run`.
+
+    ``app.state.opening`` is a list of what is awaited before people can come.
+    """
+    import uvicorn
+
+    from phase_study.server import MOST_MESSAGE
+
+    with _listening(host, port) as listener:
+        config = uvicorn.Config(
+            app, access_log=False, log_level="warning", server_header=False,
+            proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
+            ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
+        )  # fmt: skip
+        shown = f"[{host}]" if ":" in host else host
+        address = url or f"http://{shown}:{listener.getsockname()[1]}/"
+
+        async def tell() -> None:
+            ready(address)  # people who come before the first request is answered wait
+
+        app.state.opening.append(tell)
+        server = uvicorn.Server(config)
+        keep(server)
+        server.run(sockets=[listener])
+        if not server.started:
+            raise ppl.errors.OutputError("the server did not start")
 
 
 def _listening(host: str, port: int) -> socket.socket:

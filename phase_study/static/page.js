@@ -2,19 +2,6 @@
    with choices, or in several steps. What is on it comes from the server (phase_study/plan.py). */
 "use strict";
 
-/** Return an element with attributes (functions: what listens) and children. */
-function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (typeof value === "function") made.addEventListener(name, value);
-    else if (name === "html") made.innerHTML = value; // rendered from Markdown, where HTML is escaped
-    else if (value === true) made.setAttribute(name, "");
-    else if (value !== false && value != null) made.setAttribute(name, value);
-  }
-  made.append(...children.filter(child => child != null));
-  return made;
-}
-
 /** A film with a button of its own: native controls would cover its lower quarter. */
 class Film {
   constructor(source, note, moments = []) {

@@ -4,17 +4,7 @@
 
 var jsPsychPlay = (function (jspsych) {
   const type = jspsych.ParameterType;
-  const AGENTS = ["red agent", "green agent"], ENTITIES = [...AGENTS, "blue item", "pink item"];
-  // the colours of the films (phase_ppl/render/frames.py)
-  const COLOURS = ["#ff0000", "#00ff00", "#75d8e6", "#ff9999"];
-  const LANDMARKS = ["#2d2db4", "#329632", "#b42d2d", "#b4b42d"];
-  const TRAPEZOID = [[-1.5, -1], [-0.5, 1], [0.5, 1], [1.5, -1]], EYES = [[-0.24, 0.62], [0.24, 0.62]], EYE = 0.14;
-  const KEYS = { // by place on the keyboard, whatever is printed there
-    KeyW: "forward", ArrowUp: "forward", KeyS: "backward", ArrowDown: "backward", KeyA: "left", KeyD: "right",
-    KeyQ: "turn left", ArrowLeft: "turn left", KeyE: "turn right", ArrowRight: "turn right", Space: "grab",
-  };
-  const HELP = [["W", "\u2191", "forward"], ["S", "\u2193", "backward"], ["A", "", "left"], ["D", "", "right"],
-    ["Q", "\u2190", "turn left"], ["E", "\u2192", "turn right"], ["space", "", "grab, or let go"]];
+  const AGENTS = ["red agent", "green agent"];
   const OUTCOMES = { goals: "Both goals are reached!", time: "The time is up.", left: "The other player has left.",
     stopped: "The session was broken off." };
   const UNKNOWN = 4401, ELSEWHERE = 4409;
@@ -23,104 +13,6 @@ var jsPsychPlay = (function (jspsych) {
   function words(goal) {
     const [, entity, way, landmark] = /^Get (.+) (to|away from) (\w+) lm$/.exec(goal) ?? [];
     return entity ? `get the ${entity} ${way} the ${landmark} landmark` : goal.replace(/(to|from) (?=\w+ agent)/, "$1 the ");
-  }
-
-  /** Draws what one agent sees, as smoothly as the screen can. */
-  class View {
-    constructor(canvas) { this.canvas = canvas; this.scene = null; this.frames = []; this.big = ""; }
-
-    begin(scene) { this.scene = scene; this.frames = []; this.big = ""; }
-
-    add(frame) { this.frames = [...this.frames.slice(-1), { ...frame, at: performance.now() }]; }
-
-    draw() {
-      const { canvas, scene } = this, pen = canvas.getContext("2d");
-      const side = Math.round(canvas.clientWidth * (window.devicePixelRatio || 1));
-      if (side && canvas.width !== side) canvas.width = canvas.height = side;
-      pen.setTransform(1, 0, 0, 1, 0, 0);
-      pen.fillStyle = "#fff";
-      pen.fillRect(0, 0, canvas.width, canvas.height);
-      const frame = this.frames.at(-1);
-      if (!scene || !frame) return;
-      const [x0, x1, y0, y1] = scene.arena, unit = canvas.width / (x1 - x0 + 0.4);
-      pen.setTransform(unit, 0, 0, -unit, (0.2 - x0) * unit, (0.2 + y1) * unit); // y points up
-      for (const [k, [x, y]] of scene.landmarks.entries()) {
-        pen.fillStyle = LANDMARKS[k];
-        pen.fillRect(x - scene.half_width, y - scene.half_width, 2 * scene.half_width, 2 * scene.half_width);
-      }
-      if (frame.sight) { // what is out of sight lies in the shade
-        pen.beginPath();
-        pen.rect(x0, y0, x1 - x0, y1 - y0);
-        for (const [k, corner] of frame.sight.entries()) pen[k ? "lineTo" : "moveTo"](...corner);
-        pen.closePath();
-        pen.fillStyle = "rgb(70 75 85 / 0.55)";
-        pen.fill("evenodd");
-      }
-      const poses = this.poses(frame);
-      for (const entity of [2, 3, 0, 1]) if (poses[entity]) this.entity(pen, entity, poses[entity]);
-      for (const [agent, item] of frame.held.entries()) {
-        if (item < 0 || !poses[agent] || !poses[item]) continue;
-        pen.beginPath();
-        pen.moveTo(...poses[agent]);
-        pen.lineTo(...poses[item]);
-        pen.strokeStyle = "#000";
-        pen.lineWidth = 0.12;
-        pen.stroke();
-      }
-      pen.strokeStyle = "#000";
-      pen.lineWidth = 0.25;
-      pen.lineCap = "square";
-      pen.strokeRect(x0, y0, x1 - x0, y1 - y0);
-      for (const [start, end] of scene.walls) { pen.beginPath(); pen.moveTo(...start); pen.lineTo(...end); pen.stroke(); }
-      if (this.big) this.overlay(pen);
-    }
-
-    /** Between the last two frames: one behind, so that motion is even. */
-    poses(frame) {
-      const before = this.frames.length > 1 ? this.frames[0] : frame;
-      const share = Math.min(1, (performance.now() - frame.at) / (1000 * this.scene.interval));
-      return frame.poses.map((pose, entity) => pose && before.poses[entity]
-        ? pose.map((value, k) => before.poses[entity][k] + share * (value - before.poses[entity][k])) : pose);
-    }
-
-    entity(pen, entity, [x, y, angle]) {
-      const radius = this.scene.radius[entity];
-      pen.save();
-      pen.translate(x, y);
-      pen.rotate(angle);
-      pen.scale(radius, radius);
-      if (entity === this.scene.agent) { // one's own has a ring
-        pen.beginPath();
-        pen.arc(0, 0, 2.1, 0, 2 * Math.PI);
-        pen.setLineDash([0.5, 0.3]);
-        pen.lineWidth = 0.14 / radius;
-        pen.strokeStyle = "#0b57d0";
-        pen.stroke();
-        pen.setLineDash([]);
-      }
-      pen.beginPath();
-      if (entity < 2) for (const [k, corner] of TRAPEZOID.entries()) pen[k ? "lineTo" : "moveTo"](...corner);
-      else pen.arc(0, 0, 1, 0, 2 * Math.PI);
-      pen.closePath();
-      pen.fillStyle = COLOURS[entity];
-      pen.fill();
-      pen.fillStyle = "#000";
-      if (entity < 2) for (const [ex, ey] of EYES) { pen.beginPath(); pen.arc(ex, ey, EYE, 0, 2 * Math.PI); pen.fill(); }
-      pen.restore();
-    }
-
-    overlay(pen) {
-      const side = this.canvas.width;
-      pen.setTransform(1, 0, 0, 1, 0, 0);
-      pen.font = `bold ${side / 6}px sans-serif`;
-      pen.textAlign = "center";
-      pen.textBaseline = "middle";
-      pen.lineWidth = side / 60;
-      pen.strokeStyle = "#fff";
-      pen.strokeText(this.big, side / 2, side / 2);
-      pen.fillStyle = "#000";
-      pen.fillText(this.big, side / 2, side / 2);
-    }
   }
 
   class Play {

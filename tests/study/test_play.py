@@ -19,7 +19,7 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_ppl.physics.actions import ACTION_NAMES
-from phase_study import play
+from phase_study import play, sockets
 from phase_study.exports import played, replayed
 from phase_study.room import KEYS, Room
 from phase_study.store import trajectory_sha256
@@ -42,7 +42,8 @@ Made = Callable[..., Study]
 
 @pytest.fixture(autouse=True)
 def _in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, seconds in (("COUNTDOWN", 0), ("_PING", 0.05), ("_SAVED_EVERY", 0.1)):
+    monkeypatch.setattr(sockets, "_PING", 0.05)
+    for name, seconds in (("COUNTDOWN", 0), ("_SAVED_EVERY", 0.1)):
         monkeypatch.setattr(play, name, seconds)
 
 

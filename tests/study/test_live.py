@@ -1,0 +1,137 @@
+"""Somebody steers an agent in the browser, and the model says what they want."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+import phase_ppl as ppl
+from phase_study.live import Live
+from tests.browser import needs_browser, running_browser
+from tests.simulator.toys import wait_until
+from tests.study.players import near_goals, press
+from tests.study.test_browser import AXE, RULES
+
+HOST = "http://localhost"
+Message = dict[str, Any]
+
+
+@contextlib.contextmanager
+def client_of(game: Live) -> Iterator[TestClient]:
+    with TestClient(game.app(), base_url=HOST) as client:
+        yield client
+
+
+def connected(client: TestClient, seat: int = 0) -> Any:
+    return client.websocket_connect(f"ws://localhost/socket/{seat}", headers={"origin": HOST})
+
+
+def until(socket: Any, kind: str, fits: Callable[[Message], bool] = lambda found: True) -> Message:
+    """Return the next message of a kind."""
+    while True:
+        found: Message = socket.receive_json()
+        if found["t"] == kind and fits(found):
+            return found
+
+
+def wishes(**changes: Any) -> Message:
+    asked = {"agent": 0, "goal": "Get red agent to blue lm", "partner": "nobody",
+             "strengths": [600, 600], **changes}  # fmt: skip
+    return {"t": "begin", "wishes": asked}
+
+
+def test_a_reading_is_that_of_the_saved_event_and_going_back_repeats_the_game(
+    tmp_path: Path,
+) -> None:
+    with client_of(Live(near_goals().scene)) as client, connected(client) as socket:
+        socket.send_json(wishes(partner="planner"))
+        until(socket, "waiting")
+        for message in (press("forward"), {"t": "hurry"}):
+            socket.send_json(message)
+        until(socket, "read", lambda found: found["frame"] == 5)
+        socket.send_json({"t": "pause"})
+        until(socket, "paused")
+        (tmp_path / "saved.json").write_bytes(client.get("/event.json").content)
+        event = ppl.load_event(tmp_path / "saved.json")
+        track = event.observation.trajectory
+        socket.send_json({"t": "look", "frame": 4})
+        found = until(socket, "reading", lambda one: one["frame"] == 4)
+        socket.send_json({"t": "back", "frame": 4})
+        again = [until(socket, "read")["poses"] for _ in range(5)]
+        with contextlib.closing(socket):
+            socket.send_json({"t": "steps", "red": 2})
+            with pytest.raises(WebSocketDisconnect):
+                until(socket, "never")
+    assert track[-1][0, 0] < track[0][0, 0] - 0.1, "it drives ahead, to the left"
+    assert event.truth.goal_red == "Get red agent to blue lm"
+    np.testing.assert_allclose(again, track[:5], atol=1e-3)
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    post = ppl.infer(event, model).at(4)
+    np.testing.assert_allclose(found["goals"][0], post.marginal("goal_red"), atol=1e-3)
+
+
+def test_a_second_player_steers_another_agent_of_any_world() -> None:
+    with (
+        client_of(Live(ppl.worlds.TRIO)) as client,
+        connected(client) as first,
+        connected(client, 1) as second,
+    ):
+        assert until(second, "nobody")
+        first.send_json(wishes(goal="", partner="player"))
+        until(first, "waiting")
+        assert until(first, "scene")["agent"] == 0
+        assert until(second, "scene")["agent"] == 1
+        begun = until(first, "read", lambda found: found["frame"] == 0)["poses"]
+        for message in (press("turn left"), {"t": "hurry"}):
+            second.send_json(message)
+        after = until(first, "read", lambda found: found["frame"] == 3)["poses"]
+    turned = np.abs(np.array(after) - begun)[:, 2]
+    assert turned[1] > 0.1
+    assert turned[[0, 2]].max() == 0, "who waits for keys, and who is nobody, stand still"
+
+
+@needs_browser
+def test_the_page_shows_what_is_believed_as_keys_are_pressed() -> None:
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()
+    server: list[Any] = []
+    scene = near_goals(start=[[12, 14, 0], [20, 19.5, -1.5], [12, 7, 0], [20, 7, 0]]).scene
+    how: dict[str, Any] = {"ready": told.put, "keep": server.append}
+    thread = threading.Thread(target=Live(scene).run, args=(0,), kwargs=how, daemon=True)
+    thread.start()
+    faults: list[str] = []
+    try:
+        with running_browser() as browser:
+            page = browser.new_page(viewport={"width": 390, "height": 844})
+            page.on("pageerror", lambda error: faults.append(str(error)))
+            page.goto(told.get(timeout=60))
+            wait_until(lambda: page.evaluate("Boolean(window.live?.readings.length)"), 120)
+            first = page.evaluate("live.readings[0].goals[0]")
+            page.keyboard.down("w")
+            wait_until(lambda: page.evaluate("live.readings.length > 4"), 60)
+            page.keyboard.up("w")
+            page.get_by_role("button", name="Pause").click()
+            page.get_by_text("What if").first.click()
+            page.get_by_text("Paused.").wait_for()
+            now = page.evaluate("live.readings.at(-1).goals[0]")
+            assert np.abs(np.subtract(first, now)).sum() > 0.1, "it has learnt something"
+            assert sum(now) == pytest.approx(1, abs=0.01)
+            assert page.evaluate("live.latency.reading.length") > 0
+            page.evaluate(AXE)
+            found = page.evaluate("tags => axe.run({ runOnly: tags })", RULES)["violations"]
+            assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    finally:
+        server[0].should_exit = True
+        thread.join()
+    assert faults == []
