@@ -46,6 +46,8 @@ from phase_ppl.data.motion import items_held as items_held
 from phase_ppl.data.motion import observed_turning as observed_turning
 from phase_ppl.data.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
+from phase_ppl.evaluation.calibration import Calibration as Calibration
+from phase_ppl.evaluation.calibration import calibrate as calibrate
 from phase_ppl.evaluation.comparison import ModelComparison as ModelComparison
 from phase_ppl.evaluation.comparison import compare_models as compare_models
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted

@@ -1,0 +1,534 @@
+"""Is a model as sure as it should be? Simulation-based calibration (Talts et al. 2018).
+
+A hypothesis is drawn from the prior, and a video of it from the simulator. A posterior of that
+video is calibrated if the truth cannot be told from its draws. Then, over many videos,
+
+* the rank of the truth among n draws is even on 0..n;
+* of the answers with probability p a share p is right;
+* the log score of the truth is, in the mean, what the posterior itself expects.
+
+Strengths are ranked by their value, goals and relations by their probability, a test quantity that
+depends on the data (Modrak et al. 2023). Ties are broken by chance. Log scores have the lapse of
+:mod:`phase_ppl.evaluation.doubt`, on both sides.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binom, kstest, ttest_1samp
+
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.tree import are_weighted
+from phase_ppl.evaluation.bootstrap import clopper_pearson
+from phase_ppl.evaluation.doubt import log_probabilities
+from phase_ppl.evaluation.evaluate import evaluate
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import Predict
+from phase_ppl.evaluation.table import true_answers
+from phase_ppl.simulator.contract import next_frames
+from phase_ppl.simulator.joint import simulate
+from phase_ppl.simulator.processes import Failure, results, slots_of
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    SimulationError,
+    check_name,
+    shown,
+    whole_number,
+)
+from phase_ppl.world.event import MIN_FRAMES, Event, Observation, Truth
+from phase_ppl.world.files import write_bytes
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.picture import Printed, wrapped
+from phase_ppl.world.progress import Bar
+from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.space import space_of
+from phase_ppl.world.worlds import named
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from phase_ppl.models.model import Model
+
+TABLE: Final = "calibration.csv"
+"""The file in the folder of results that has the table."""
+
+RANKED: Final = 99
+"""Draws that the truth is ranked among, where a posterior is no set of independent chains."""
+
+DOUBTFUL: Final = 0.01
+"""p-values below this are told."""
+
+_TRIES: Final = 200  # draws of a hypothesis and a video, until the video can be an event
+_BARS: Final = 10  # of histograms and of reliability, at most
+_IN_BAR: Final = 6  # videos for each of them, at least
+_HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
+_BAND: Final = (0.005, 0.995)  # between these quantiles lie 99 % of the bars
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Calibration(Printed):
+    """How sure a model was of videos whose truth is drawn from its prior. ``print`` shows it.
+
+    Attributes:
+        table: a row per video and quantity. Columns ``event`` and ``quantity``; the ``rank`` of the
+            truth among ``n`` draws of the posterior, and its ``place`` from 0 to 1, (rank + u) /
+            (n + 1) with a random u; and for goals and relations the probability of the ``truth``
+            and of the ``top`` answer, whether that is ``right`` (1 or 0), the ``log_score`` of the
+            truth and what the posterior ``expected`` of it, nats. These are NaN for strengths.
+        evaluation: the answers; its events are the videos.
+        notes: what is known to keep the model from being calibrated.
+    """
+
+    table: pd.DataFrame
+    evaluation: Evaluation
+    notes: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def summary(self) -> pd.DataFrame:
+        """A row per quantity.
+
+        Columns: ``n`` videos; ``rank``, the mean place of the truth (even: 0.5), and ``p_even``, by
+        Kolmogorov and Smirnov's test of even places. For goals and relations the share of ``right``
+        answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``;
+        ``ece``, the expected calibration error over the bins of :meth:`reliability`, and
+        ``ece_chance``, its mean if the model were calibrated; mean ``log_score`` and what was
+        ``expected``, nats, and ``p_score`` that both are the same (Student's t). Last ``verdict``,
+        in words.
+        """
+        rows = {name: self._summed(name, part) for name, part in self._parts.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
+
+    def reliability(self, quantity: str) -> pd.DataFrame:
+        """Return how often what was said with a probability is so.
+
+        Args:
+            quantity: a goal or a relation: bins of the top answers, of as many videos each, with
+                the mean ``probability`` and the ``share`` of right ones. Or a strength: central
+                intervals of the posterior by their ``probability``, and the ``share`` that holds
+                the truth. Either with the 95 % interval ``low`` to ``high`` of the share (Clopper
+                and Pearson) and the number ``n`` of videos.
+
+        Raises:
+            UnknownNameError: there is no such quantity.
+        """
+        check_name("quantity", quantity, self._parts)
+        part = self._parts[quantity]
+        if part["top"].isna().all():
+            off = (2 * part["place"] - 1).abs().to_numpy()
+            found = [(held, off <= held) for held in _HELD]
+        else:
+            part = part.sort_values("top", kind="stable")
+            split = np.array_split(np.arange(len(part)), _n_bars(len(part)))
+            top, right = part["top"].to_numpy(), part["right"].to_numpy()
+            found = [(top[some].mean(), right[some]) for some in split]
+        rows = [
+            (p, so.mean(), *clopper_pearson(float(so.sum()), len(so)), len(so)) for p, so in found
+        ]
+        return pd.DataFrame(rows, columns=["probability", "share", "low", "high", "n"])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a copy of ``table``."""
+        return self.table.copy()
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write ``table`` as a .csv file (OutputError: it cannot be written)."""
+        write_bytes(path, (".csv",), self.table.to_csv(index=False).encode())
+        return Path(path)
+
+    @in_style
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw ranks and reliability of every quantity; with ``path`` also write the figure."""
+        note = (
+            "Left: how many videos have the truth at this place among draws of the posterior, and "
+            "the band that holds 99 % of the bars of a calibrated model. Right: shares of right "
+            "top answers, or of central intervals that hold the true strength, with 95 % "
+            "intervals; the line is a calibrated model. "
+        )
+        title = f"{self._name}: {len(self.evaluation.predictions)} videos drawn from the prior"
+        height = 1.0 + 1.55 * len(self._parts) + 0.12 * sum(len(n) for n in self.notes) / 100
+        figure = new_figure(6.4, height, title, note + " ".join(self.notes))
+        grid = figure.subplots(len(self._parts), 2, squeeze=False, width_ratios=(1.7, 1))
+        for (left, right), (quantity, part) in zip(grid, self._parts.items(), strict=True):
+            _draw_ranks(left, quantity, part["place"].to_numpy())
+            _draw_reliability(right, self.reliability(quantity))
+        grid[-1, 0].set_xlabel("place of the truth")
+        grid[-1, 1].set_xlabel("probability said")
+        return written(figure, path)
+
+    def __str__(self) -> str:
+        failed = len(self.evaluation.failures)
+        head = (
+            f"{self._name}: {len(self.evaluation.predictions)} videos drawn from prior and simulator"
+            + (f", and {failed} without an answer" if failed else "")
+        )
+        lines = wrapped("calibration", head)
+        form = "{:<16}{:>8}{:>18}{:>7}{:>17}{:>17}{:>18}"
+        names = ("right", "95 %", "sure", "ece (by chance)", "score (expected)", "rank (p even)")
+        lines += ["", form.format("", *names)]
+        for name, row in self.summary.iterrows():
+            cells = [""] * 5
+            if np.isfinite(row["sure"]):
+                cells = [
+                    f"{row['right']:.2f}",
+                    f"[{row['low']:.2f}, {row['high']:.2f}]",
+                    f"{row['sure']:.2f}",
+                    f"{row['ece']:.2f} ({row['ece_chance']:.2f})",
+                    f"{row['log_score']:.2f} ({row['expected']:.2f})",
+                ]
+            place = f"{row['rank']:.2f} ({row['p_even']:.3f})"
+            lines.append(form.format(str(name), *cells, place).rstrip())
+        said = [f"{name}: {verdict}" for name, verdict in self.summary["verdict"].items()]
+        return "\n".join(
+            [*lines, "", *said, *(line for n in self.notes for line in wrapped("note", n))]
+        )
+
+    def __repr__(self) -> str:
+        return f"<Calibration of {self._name}: {len(self.evaluation.predictions)} videos>"
+
+    @property
+    def _name(self) -> str:
+        return self.evaluation.name
+
+    @functools.cached_property
+    def _parts(self) -> dict[str, pd.DataFrame]:
+        """The rows of each quantity."""
+        return {str(name): part for name, part in self.table.groupby("quantity", sort=False)}
+
+    def _summed(self, name: str, part: pd.DataFrame) -> dict[str, Any]:
+        place, n = part["place"].to_numpy(), len(part)
+        found: dict[str, Any] = {
+            "n": n,
+            "rank": place.mean(),
+            "p_even": kstest(place, "uniform").pvalue,
+        }
+        uneven = f"ranks are not even (p = {found['p_even']:.2g})"
+        verdict = uneven if found["p_even"] < DOUBTFUL else ""
+        of_answers = ("right", "low", "high", "sure", "ece", "ece_chance", "log_score", "expected")
+        found |= dict.fromkeys((*of_answers, "p_score"), np.nan)
+        if part["top"].notna().all():
+            right, top = part["right"].to_numpy(), part["top"].to_numpy()
+            low, high = clopper_pearson(float(right.sum()), n)
+            gain = (part["log_score"] - part["expected"]).to_numpy()
+            p_score = ttest_1samp(gain, 0.0).pvalue if n > 1 and gain.std() > 0 else np.nan
+            values = right.mean(), low, high, top.mean(), *_ece(top, right)
+            scores = part["log_score"].mean(), part["expected"].mean(), p_score
+            found |= dict(zip((*of_answers, "p_score"), (*values, *scores), strict=True))
+            if p_score < DOUBTFUL:
+                how = "less sure than it should be" if gain.mean() > 0 else "too sure"
+                verdict = f"{how}: the truth scores {gain.mean():+.2f} nats against expectation" + (
+                    f", {verdict}" if verdict else ""
+                )
+        return {**found, "verdict": verdict or f"nothing wrong found in {n} videos"}
+
+
+def calibrate(
+    model: Model,
+    n: int = 100,
+    *,
+    reader: str | Model | Predict | None = None,
+    frames: int = 31,
+    scenes: str | World | Scene | Sequence[Scene] = PHASE,
+    noise: bool = True,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    seed: int = 0,
+    progress: bool | None = None,
+    **options: Any,
+) -> Calibration:
+    """Draw hypotheses and videos from a model, infer each, and say whether it is as sure as right.
+
+    The hypothesis comes from the model's prior. The video comes from its simulator: from
+    ``next_frames``, if the simulator has it and the closed loop reads, else from a whole
+    simulation. If a video cannot be an event, as a body leaves the arena, or the simulator fails,
+    hypothesis and video are drawn anew, which leaves the posterior as it is.
+
+    To be calibrated, videos must be what the likelihood says. The joint simulator's are not quite:
+    the closed loop takes its agents to be less determined than they are, and its likelihood and
+    the default one of kernels are tempered. The result names tempering.
+
+    Args:
+        model: prior, simulator and likelihood.
+        n: number of videos.
+        reader: what infers, as ``phase_ppl.evaluate`` takes it; by default the model itself.
+            Another one shows what a wrong assumption does.
+        frames: length of each video.
+        scenes: a world or its name, for random scenes; or scenes, taken in turn.
+        noise: whether positions get the noise of the model's own likelihood, where it has a method
+            ``replicate`` as :class:`phase_ppl.RadialLikelihood` does. The default likelihood is
+            tempered and adds none.
+        out: folder to keep everything in, as :func:`phase_ppl.evaluate` does, and the table; by
+            default nothing is kept.
+        resume: continue in ``out``, if there is something, perhaps with a larger ``n``. Videos are
+            drawn again, which is quick beside reading them.
+        workers, executor, progress: as of :func:`phase_ppl.evaluate`.
+        seed: the same seed gives the same videos and answers.
+        **options: for :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
+
+    Raises:
+        SimulationError: the simulator fails, or no video can be an event; the message says why.
+        InvalidSettingError: a number out of range, or a simulator that draws no videos.
+
+    Further errors are those of :func:`phase_ppl.evaluate`.
+    """
+    whole_number("n", n)
+    drawing = _Drawing(
+        model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES), noise,
+        whole_number("seed", seed, 0),
+    )  # fmt: skip
+    events: dict[int, Event] = {}
+    drawn = results(_draw, drawing, range(n), slots_of(workers, executor), "the model", executor)
+    with Bar(n, 0, progress, "video", "drawing") as bar, contextlib.closing(drawn):
+        for number, event in drawn:
+            if isinstance(event, Failure):
+                raise SimulationError(f"video {number} cannot be drawn: {event.reason}")
+            events[number] = event
+            bar.update()
+    with contextlib.ExitStack() as stack:
+        folder = out or stack.enter_context(tempfile.TemporaryDirectory())
+        evaluation = evaluate(
+            [events[number] for number in range(n)], model if reader is None else reader,
+            out=folder, resume=resume, workers=workers, executor=executor, seed=seed,
+            progress=progress, **options,
+        )  # fmt: skip
+        rows: list[dict[str, Any]] = []
+        notes: dict[str, None] = {}
+        for number, event in enumerate(evaluation.events):
+            if event.id in evaluation.predictions:
+                post = evaluation.posterior(event.id)
+                rng = np.random.default_rng([seed, number, 1])
+                rows += _ranked(event, evaluation.predictions[event.id], post, rng)
+                if post is not None and post.tempering:
+                    notes[f"{post.tempering}, so less sure than it should be is expected"] = None
+        if out is None:
+            evaluation = dataclasses.replace(evaluation, folder=None)
+        found = Calibration(pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(notes))
+        if out is not None:
+            found.save(Path(out) / TABLE)
+        return found
+
+
+# --- drawing --------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Drawing:
+    """What videos are drawn from."""
+
+    model: Model
+    scenes: World | Sequence[Scene]
+    frames: int
+    noise: bool
+    seed: int
+
+
+def _scenes(given: object) -> World | Sequence[Scene]:
+    if isinstance(given, str | World):
+        return named(given)
+    found = [given] if isinstance(given, Scene) else given
+    if (
+        not isinstance(found, Sequence)
+        or not all(isinstance(one, Scene) for one in found)
+        or not found
+    ):
+        raise InvalidSettingError(f"scenes={shown(given)}, expected a world, its name, or scenes")
+    return found
+
+
+def _draw(drawing: _Drawing, number: int) -> Event:
+    """Return a video with its truth."""
+    import jax
+
+    from phase_ppl.models.density import draw
+
+    rng = np.random.default_rng([drawing.seed, number])
+    scenes = drawing.scenes
+    scene = scenes.random_scene(rng) if isinstance(scenes, World) else scenes[number % len(scenes)]
+    model = drawing.model.in_world(scene.world)
+    video = _video_of(model, scene, drawing.frames)
+    replicate = getattr(model.likelihood, "replicate", None) if drawing.noise else None
+    why = ""
+    for _ in range(_TRIES):
+        key = jax.random.key(int(rng.integers(2**31)))
+        hypothesis = space_of(scene.world).hypothesis(draw(model.prior, key))
+        if not hypothesis.is_possible:
+            why = "agents that help or hinder have no goals"
+            continue
+        try:
+            frames = video(hypothesis, int(rng.integers(2**31)))
+            if replicate is not None:
+                frames[..., :2] = replicate(frames[..., :2], rng)
+            truth = Truth.of(hypothesis)
+            return Event(scene, Observation(frames), id=f"draw-{number:04d}", truth=truth)
+        except (InvalidEventError, SimulationError) as error:
+            why = str(error)
+    raise SimulationError(f"none of {_TRIES} draws can be an event; the last: {why}")
+
+
+def _video_of(model: Model, scene: Scene, n_frames: int) -> Callable[[Hypothesis, int], FloatArray]:
+    """Return a function of a hypothesis and a seed that draws (time, entity, coord) a video."""
+    from phase_ppl.models.likelihood import is_stepwise
+
+    simulator: Any = model.build_simulator()
+    goes_on = callable(getattr(simulator, "next_frames", None))
+    if not callable(simulator) and not goes_on:
+        raise InvalidSettingError(
+            f"{shown(simulator)} draws no videos: it has log_prob_next, expected next_frames or "
+            "__call__ too"
+        )
+    if goes_on and (is_stepwise(model.likelihood) or not callable(simulator)):
+
+        def step_by_step(hypothesis: Hypothesis, seed: int) -> FloatArray:
+            rng, seen = np.random.default_rng(seed), scene.start[None]
+            while len(seen) < n_frames:
+                new = next_frames(simulator, scene, hypothesis.effective(), seen, rng, 1)
+                seen = np.concatenate([seen, new])
+            return seen
+
+        return step_by_step
+
+    def whole(hypothesis: Hypothesis, seed: int) -> FloatArray:
+        event = simulate(scene, hypothesis, frames=n_frames, seed=seed, simulator=simulator)
+        return event.observation.trajectory.copy()
+
+    return whole
+
+
+# --- ranks ----------------------------------------------------------------------------------------
+
+_COLUMNS: Final = (
+    *("event", "quantity", "rank", "n", "place"),
+    *("truth", "top", "right", "log_score", "expected"),
+)
+
+
+def _ranked(
+    event: Event, prediction: Prediction, post: EventPosterior | None, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Return the rows of the table about a video."""
+    truth = true_answers(event)
+    drawn, others = (None, None) if post is None else _independent(post, rng)
+    rows = []
+    for question, p in prediction.probabilities.items():
+        true = prediction.questions[question].index(truth[question])
+        if post is None or others is None or drawn is None:
+            codes, mass = rng.choice(len(p), RANKED, p=p / p.sum()), p
+        else:  # what is ranked by is not of the draws that are ranked
+            codes = post.table.values[question][drawn]
+            mass = np.bincount(post.table.values[question], others, len(p))
+        logs = log_probabilities(p)
+        rows.append(
+            {
+                **_row(event, question, mass.round(12)[codes], mass.round(12)[true], rng),
+                "truth": p[true],
+                "top": p.max(),
+                "right": float(prediction.answers[question] == truth[question]),
+                "log_score": logs[true],
+                "expected": float((p * logs).sum()),
+            }
+        )
+    if post is None or drawn is None:
+        return rows
+    for name, strength in zip(post.strengths_of.values(), _strengths_of(event), strict=True):
+        values = post.table.values[name]
+        true_value = _on_grid(post, values, strength)
+        rows.append(_row(event, name, values[drawn], true_value, rng))
+    return rows
+
+
+def _row(
+    event: Event, quantity: str, drawn: FloatArray, truth: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    n, equal = len(drawn), int((drawn == truth).sum())
+    rank = int((drawn < truth).sum()) + int(rng.integers(equal + 1))
+    place = (rank + rng.random()) / (n + 1)
+    return {"event": event.id, "quantity": quantity, "rank": rank, "n": n, "place": place}
+
+
+def _independent(post: EventPosterior, rng: np.random.Generator) -> tuple[np.ndarray, FloatArray]:
+    """Return rows of the table that are independent draws, and weights of all other rows.
+
+    They are the last draws of the chains. Where draws have weights they are drawn by these, and
+    none is left out.
+    """
+    table = post.table
+    if isinstance(post, Posterior) and post.weights == "count" and not are_weighted(post.tree):
+        last = table.index["draw"] == table.index["draw"].max()
+        if last.sum() > 1 and not last.all():
+            others = np.where(last, 0.0, table.weights)
+            return np.flatnonzero(last), others / others.sum()
+    return rng.choice(len(table.weights), RANKED, p=table.weights), table.weights
+
+
+def _strengths_of(event: Event) -> Sequence[float]:
+    assert event.truth is not None, "it was drawn"
+    return [float(one) for one in event.truth.strengths if one is not None]
+
+
+def _on_grid(post: EventPosterior, values: FloatArray, strength: float) -> float:
+    """Return a strength as the posterior could have it: on its grid, if it has one."""
+    from phase_ppl.models.effective import place_of_level
+
+    if isinstance(post, StepwisePosterior):
+        levels = np.array(post.settings["likelihood"]["tracking"]["strengths"])
+    elif post.settings.get("kernel") == "enumerate":
+        levels = np.unique(values)
+    else:
+        return strength
+    return float(levels[place_of_level(strength, levels)])
+
+
+# --- summed up ------------------------------------------------------------------------------------
+
+
+def _n_bars(n: int) -> int:
+    return max(1, min(_BARS, n // _IN_BAR))
+
+
+def _ece(top: FloatArray, right: FloatArray) -> tuple[float, float]:
+    """Return the expected calibration error, and its mean were answers as often right as said."""
+    order = np.argsort(top, kind="stable")
+    starts = np.array([some[0] for some in np.array_split(np.arange(len(top)), _n_bars(len(top)))])
+    rng = np.random.default_rng(0)
+    by_chance = rng.random((1000, len(top))) < top[order]
+    off = np.vstack([right[order], by_chance]) - top[order]
+    found = np.abs(np.add.reduceat(off, starts, axis=1)).sum(axis=1) / len(top)
+    return float(found[0]), float(found[1:].mean())
+
+
+def _draw_ranks(axes: Axes, quantity: str, place: FloatArray) -> None:
+    n = _n_bars(len(place))
+    counts, ends = np.histogram(place, n, (0.0, 1.0))
+    axes.axhspan(*binom.ppf(_BAND, len(place), 1 / n), color="0.9", lw=0)
+    axes.axhline(len(place) / n, color="0.6", lw=0.8)
+    axes.bar((ends[1:] + ends[:-1]) / 2, counts, 0.9 / n, color=COLOURS[0])
+    axes.set(xlim=(0, 1), ylabel="videos")
+    axes.set_title(quantity.replace("_", " of ") if quantity.startswith("strength") else
+                   f"probability of {quantity.replace('_', ' of ')}")  # fmt: skip
+
+
+def _draw_reliability(axes: Axes, found: pd.DataFrame) -> None:
+    axes.plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    axes.vlines(found["probability"], found["low"], found["high"], COLOURS[0], lw=1.2)
+    axes.plot(found["probability"], found["share"], "o", ms=4, color=COLOURS[0], clip_on=False)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+    axes.set_ylabel("share")

@@ -1,0 +1,198 @@
+"""Simulation-based calibration, on a model whose posterior is a sum over eighteen hypotheses."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError
+from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Hypothesis
+from tests.evaluation.toys import START
+from tests.inference.toy import (
+    ALPHA_CODES,
+    ALPHA_MASS,
+    GREEN_GOALS,
+    GREEN_MASS,
+    RED_GOALS,
+    RED_MASS,
+    few_goals,
+)
+
+SCENE = ppl.Scene(start=START, radius=np.full(4, 0.8))
+SPREAD = 1.0
+N_FRAMES = 3
+QUIET: dict[str, Any] = {"frames": N_FRAMES, "scenes": SCENE, "workers": 1, "progress": False}
+
+
+def means(goals: tuple[int, ...]) -> FloatArray:
+    """Return (agent, xy) where the agents appear, by goals."""
+    return SCENE.start[:2, :2] + np.stack([[np.cos(goal), np.sin(goal)] for goal in goals])
+
+
+def appear(scene: ppl.Scene, hypothesis: Any, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Agents appear anywhere near a place of their goal's own in every frame."""
+    yield scene.start
+    while True:
+        frame = scene.start.copy()
+        frame[:2, :2] = means(hypothesis.effective_goals) + rng.normal(0, SPREAD, (2, 2))
+        yield frame
+
+
+@functools.cache
+def hypotheses() -> list[tuple[float, Hypothesis]]:
+    axes = (
+        zip(RED_GOALS, RED_MASS, strict=True),
+        zip(GREEN_GOALS, GREEN_MASS, strict=True),
+        zip(ALPHA_CODES, ALPHA_MASS, strict=True),
+    )
+    return [
+        (r * g * a, Hypothesis(red, green, ALPHAS[alpha]))
+        for (red, r), (green, g), (alpha, a) in itertools.product(*axes)
+    ]
+
+
+def by_sum(spread: float, scene: ppl.Scene, observation: Any, seed: int) -> dict[str, FloatArray]:
+    """Return the exact posterior, were the spread this one."""
+    seen = observation.trajectory[1:, :2, :2]
+    found = [
+        (np.log(mass) - 0.5 * ((seen - means(h.effective_goals)) ** 2).sum() / spread**2, h)
+        for mass, h in hypotheses()
+    ]
+    best = max(log for log, _ in found)
+    answers = {"goal_red": np.zeros(36), "goal_green": np.zeros(36), "relation": np.zeros(3)}
+    for log, h in found:
+        truth = ppl.Truth.of(h)
+        for question, labels in (
+            ("goal_red", ppl.GOALS), ("goal_green", ppl.GOALS), ("relation", RELATIONS),
+        ):  # fmt: skip
+            answers[question][labels.index(getattr(truth, question))] += np.exp(log - best)
+    return {question: mass / mass.sum() for question, mass in answers.items()}
+
+
+def reader(spread: float) -> Any:
+    def read(scene: ppl.Scene, observation: Any, seed: int) -> dict[str, FloatArray]:
+        return by_sum(spread, scene, observation, seed)
+
+    return read
+
+
+MODEL = ppl.Model(prior=few_goals, simulator=appear)
+
+
+def calibrate(n: int, spread: float = SPREAD, **more: Any) -> ppl.Calibration:
+    return ppl.calibrate(MODEL, n, reader=reader(spread), **{**QUIET, **more})
+
+
+@pytest.fixture(scope="module")
+def exact() -> ppl.Calibration:
+    return calibrate(200)
+
+
+def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
+    summary = exact.summary
+    assert list(summary.index) == ["goal_red", "goal_green", "relation"]
+    assert summary["verdict"].tolist() == ["nothing wrong found in 200 videos"] * 3
+    assert (summary["p_even"] > 0.01).all()
+    assert (summary["p_score"] > 0.01).all()
+    bins = exact.reliability("goal_red")
+    assert bins["n"].sum() == 200
+    assert bins["probability"].between(bins["low"], bins["high"]).mean() >= 0.8
+    told = exact.to_dataframe()
+    assert told["rank"].between(0, told["n"]).all()
+    assert told["place"].between(0, 1).all()
+
+
+@pytest.mark.parametrize(
+    ("spread", "verdict", "sign"),
+    [(0.5, "too sure", -1), (2.5, "less sure than it should be", 1)],
+    ids=["too narrow", "too wide"],
+)
+def test_a_wrong_noise_is_found(
+    exact: ppl.Calibration, spread: float, verdict: str, sign: int
+) -> None:
+    summary = calibrate(200, spread).summary
+    assert summary.loc["goal_red", "verdict"].startswith(verdict)
+    right_minus_sure = summary["right"] - summary["sure"]
+    assert sign * right_minus_sure["goal_red"] > 0.03
+    assert summary.loc["goal_red", "p_even"] < 0.05
+    assert summary.loc["goal_red", "ece"] > exact.summary.loc["goal_red", "ece"]
+
+
+def test_it_is_kept_and_continued(tmp_path: Path) -> None:
+    first = calibrate(4, out=tmp_path)
+    with pytest.raises(OutputError, match="resume"):
+        calibrate(4, out=tmp_path)
+    more = calibrate(6, out=tmp_path, resume=True)
+    assert more.table[: len(first.table)].equals(first.table)
+    assert more.table.equals(calibrate(6).table), "as if never interrupted"
+    assert len((tmp_path / "calibration.csv").read_text().splitlines()) == 1 + 6 * 3
+    assert more.plot(tmp_path / "ranks.png").axes
+    assert "6 videos drawn from prior and simulator" in str(more)
+
+
+class Knows:
+    """The closed loop's form of the same simulator, without whole simulations."""
+
+    def next_frames(
+        self, scene: ppl.Scene, hypothesis: Any, seen: FloatArray, rng: Any, n: int
+    ) -> FloatArray:
+        frames = np.repeat(scene.start[None], n, axis=0)
+        frames[:, :2, :2] = means(hypothesis.effective_goals) + rng.normal(0, SPREAD, (n, 2, 2))
+        return frames
+
+    def log_prob_next(
+        self, scene: ppl.Scene, hypothesis: Any, seen: FloatArray, frame: FloatArray
+    ) -> float:
+        off = (frame[:2, :2] - means(hypothesis.effective_goals)) / SPREAD
+        return float(-0.5 * (off**2).sum())
+
+
+def test_the_closed_loop_is_asked_about_strengths_too() -> None:
+    model = ppl.Model(
+        prior=few_goals, simulator=Knows(), likelihood=ppl.StepwiseLikelihood(weight=0.5)
+    )
+    found = ppl.calibrate(model, 3, **QUIET)
+    table = found.table.set_index(["event", "quantity"])
+    exact = ppl.calibrate(model, 3, reader=reader(SPREAD / np.sqrt(0.5)), **QUIET).table
+    exact = exact.set_index(["event", "quantity"])
+    np.testing.assert_allclose(table.loc[exact.index, "truth"], exact["truth"], atol=1e-6)
+    strengths = table.xs("strength_red", level="quantity")
+    assert strengths["place"].between(0, 1).all()
+    assert strengths["truth"].isna().all()
+    assert found.reliability("strength_red")["probability"].tolist() == [0.5, 0.8, 0.9, 0.95]
+    assert any("a frame counts 0.5" in note for note in found.notes)
+
+
+class OnlyKnows:
+    log_prob_next = Knows.log_prob_next
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "error", "said"),
+    [
+        (MODEL, {"scenes": []}, InvalidSettingError, r"scenes=\[\]"),
+        (MODEL, {"n": 0}, InvalidSettingError, "n=0"),
+        (
+            ppl.Model(simulator=appear, likelihood=ppl.RadialLikelihood(0.05)),
+            {}, SimulationError, "none of 200 draws can be an event",
+        ),
+        (
+            ppl.Model(simulator=OnlyKnows(), likelihood=ppl.StepwiseLikelihood()),
+            {}, SimulationError, "draws no videos",
+        ),
+    ],
+    ids=["no scenes", "no videos", "noise beyond the arena", "only a density"],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_said(
+    model: ppl.Model, options: dict[str, Any], error: type[Exception], said: str
+) -> None:
+    with pytest.raises(error, match=said):
+        ppl.calibrate(model, **{"n": 1, "reader": reader(SPREAD), **QUIET, **options})
