@@ -19,13 +19,14 @@ import dataclasses
 import functools
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.stats import binom, kstest, ttest_1samp
 
 from phase_ppl.analysis.event_posterior import EventPosterior
@@ -33,12 +34,13 @@ from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, writ
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.tree import are_weighted
+from phase_ppl.data.documents import read_json
 from phase_ppl.evaluation.bootstrap import clopper_pearson
 from phase_ppl.evaluation.doubt import log_probabilities
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import Predict
+from phase_ppl.evaluation.registry import Answer, Predict
 from phase_ppl.evaluation.table import true_answers
 from phase_ppl.simulator.contract import next_frames
 from phase_ppl.simulator.joint import simulate
@@ -53,7 +55,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import MIN_FRAMES, Event, Observation, Truth
-from phase_ppl.world.files import write_bytes
+from phase_ppl.world.files import write_bytes, write_json
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.picture import Printed, wrapped
 from phase_ppl.world.progress import Bar
@@ -70,12 +72,16 @@ if TYPE_CHECKING:
 TABLE: Final = "calibration.csv"
 """The file in the folder of results that has the table."""
 
+DRAWS: Final = "draws.json"
+"""The file of each video with draws of its posterior."""
+
 RANKED: Final = 99
 """Draws that the truth is ranked among, where a posterior is no set of independent chains."""
 
 DOUBTFUL: Final = 0.01
 """p-values below this are told."""
 
+_ID: Final = "draw-"  # of events, before their number
 _TRIES: Final = 200  # draws of a hypothesis and a video, until the video can be an event
 _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
@@ -174,11 +180,9 @@ class Calibration(Printed):
         return written(figure, path)
 
     def __str__(self) -> str:
-        failed = len(self.evaluation.failures)
-        head = (
-            f"{self._name}: {len(self.evaluation.predictions)} videos drawn from prior and simulator"
-            + (f", and {failed} without an answer" if failed else "")
-        )
+        n, failed = len(self.evaluation.predictions), len(self.evaluation.failures)
+        head = f"{self._name}: {n} videos drawn from prior and simulator"
+        head += f", and {failed} without an answer" if failed else ""
         lines = wrapped("calibration", head)
         form = "{:<16}{:>8}{:>18}{:>7}{:>17}{:>17}{:>18}"
         names = ("right", "95 %", "sure", "ece (by chance)", "score (expected)", "rank (p even)")
@@ -308,23 +312,25 @@ def calibrate(
         evaluation = evaluate(
             [events[number] for number in range(n)], model if reader is None else reader,
             out=folder, resume=resume, workers=workers, executor=executor, seed=seed,
-            progress=progress, **options,
+            progress=progress, observer=_WithDraws(out is not None), **options,
         )  # fmt: skip
+        assert evaluation.folder is not None, "it is kept"
         rows: list[dict[str, Any]] = []
         notes: dict[str, None] = {}
-        for number, event in enumerate(evaluation.events):
-            if event.id in evaluation.predictions:
-                post = evaluation.posterior(event.id)
-                rng = np.random.default_rng([seed, number, 1])
-                rows += _ranked(event, evaluation.predictions[event.id], post, rng)
-                if post is not None and post.tempering:
-                    notes[f"{post.tempering}, so less sure than it should be is expected"] = None
-        if out is None:
-            evaluation = dataclasses.replace(evaluation, folder=None)
-        found = Calibration(pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(notes))
-        if out is not None:
-            found.save(Path(out) / TABLE)
-        return found
+        for name, prediction in evaluation.predictions.items():
+            said = read_json(evaluation.folder.folder_of(name) / DRAWS)
+            place = int(name.removeprefix(_ID))
+            rng = np.random.default_rng([seed, place, 1])
+            rows += _ranked(events[place], prediction, said, rng)
+            tempering = said.get("", {}).get("tempering", "")
+            if "tempered" in tempering:
+                notes[f"{tempering}, so less sure than it should be is expected"] = None
+    if out is None:
+        evaluation = dataclasses.replace(evaluation, folder=None)
+    found = Calibration(pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(notes))
+    if out is not None:
+        found.save(Path(out) / TABLE)
+    return found
 
 
 # --- drawing --------------------------------------------------------------------------------------
@@ -378,7 +384,7 @@ def _draw(drawing: _Drawing, number: int) -> Event:
             if replicate is not None:
                 frames[..., :2] = replicate(frames[..., :2], rng)
             truth = Truth.of(hypothesis)
-            return Event(scene, Observation(frames), id=f"draw-{number:04d}", truth=truth)
+            return Event(scene, Observation(frames), id=f"{_ID}{number:04d}", truth=truth)
         except (InvalidEventError, SimulationError) as error:
             why = str(error)
     raise SimulationError(f"none of {_TRIES} draws can be an event; the last: {why}")
@@ -421,50 +427,63 @@ _COLUMNS: Final = (
 )
 
 
-def _ranked(
-    event: Event, prediction: Prediction, post: EventPosterior | None, rng: np.random.Generator
-) -> list[dict[str, Any]]:
-    """Return the rows of the table about a video."""
-    truth = true_answers(event)
-    drawn, others = (None, None) if post is None else _independent(post, rng)
-    rows = []
-    for question, p in prediction.probabilities.items():
-        true = prediction.questions[question].index(truth[question])
-        if post is None or others is None or drawn is None:
-            codes, mass = rng.choice(len(p), RANKED, p=p / p.sum()), p
-        else:  # what is ranked by is not of the draws that are ranked
-            codes = post.table.values[question][drawn]
-            mass = np.bincount(post.table.values[question], others, len(p))
-        logs = log_probabilities(p)
-        rows.append(
-            {
-                **_row(event, question, mass.round(12)[codes], mass.round(12)[true], rng),
-                "truth": p[true],
-                "top": p.max(),
-                "right": float(prediction.answers[question] == truth[question]),
-                "log_score": logs[true],
-                "expected": float((p * logs).sum()),
+@dataclasses.dataclass(frozen=True)
+class _WithDraws:
+    """Has a model also tell draws of its posterior, which the truth is then ranked among."""
+
+    keeps: bool  # the posteriors, too
+
+    @property
+    def record(self) -> dict[str, Any]:
+        return {"calibration": RANKED}
+
+    def seeing(self, model: Predict, world: World) -> Predict:
+        return functools.partial(_asked, model, self.keeps)
+
+
+def _asked(
+    model: Predict, keeps: bool, scene: Scene, observation: Observation, seed: int
+) -> Answer:
+    """Return the answer of a model, with draws."""
+    answer = Answer.of(model(scene, observation, seed))
+    prediction = Prediction.of(answer.given, world=scene.world)
+    post = answer.given if isinstance(answer.given, EventPosterior) else answer.posterior
+    record = _draws_of(prediction, post, np.random.default_rng(seed))
+    files = dict(answer.artefacts) if keeps else {}
+    return Answer(prediction, {**files, DRAWS: functools.partial(write_json, record=record)})
+
+
+def _draws_of(
+    prediction: Prediction, post: Any, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    """Return what a model says of each quantity, without knowing the truth, in JSON's types."""
+    if not isinstance(post, EventPosterior):
+        return {
+            question: {
+                "drawn": rng.choice(len(p), RANKED, p=p / p.sum()).tolist(),
+                "by": p.tolist(),
             }
-        )
-    if post is None or drawn is None:
-        return rows
-    for name, strength in zip(post.strengths_of.values(), _strengths_of(event), strict=True):
+            for question, p in prediction.probabilities.items()
+        }
+    drawn, others = _independent(post, rng)
+    found: dict[str, dict[str, Any]] = {}
+    for question, p in prediction.probabilities.items():
+        codes = post.table.values[question]
+        # what is ranked by is not of the draws that are ranked
+        by = np.bincount(codes, others, len(p))
+        found[question] = {"drawn": codes[drawn].tolist(), "by": by.tolist()}
+    for name in post.strengths_of.values():
         values = post.table.values[name]
-        true_value = _on_grid(post, values, strength)
-        rows.append(_row(event, name, values[drawn], true_value, rng))
-    return rows
+        grid = None if post.settings.get("kernel") != "enumerate" else np.unique(values).tolist()
+        if isinstance(post, StepwisePosterior):
+            grid = list(post.settings["likelihood"]["tracking"]["strengths"])
+        found[name] = {"drawn": values[drawn].tolist(), "grid": grid}
+    return {**found, "": {"tempering": post.tempering}}
 
 
-def _row(
-    event: Event, quantity: str, drawn: FloatArray, truth: float, rng: np.random.Generator
-) -> dict[str, Any]:
-    n, equal = len(drawn), int((drawn == truth).sum())
-    rank = int((drawn < truth).sum()) + int(rng.integers(equal + 1))
-    place = (rank + rng.random()) / (n + 1)
-    return {"event": event.id, "quantity": quantity, "rank": rank, "n": n, "place": place}
-
-
-def _independent(post: EventPosterior, rng: np.random.Generator) -> tuple[np.ndarray, FloatArray]:
+def _independent(
+    post: EventPosterior, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Return rows of the table that are independent draws, and weights of all other rows.
 
     They are the last draws of the chains. Where draws have weights they are drawn by these, and
@@ -479,22 +498,48 @@ def _independent(post: EventPosterior, rng: np.random.Generator) -> tuple[np.nda
     return rng.choice(len(table.weights), RANKED, p=table.weights), table.weights
 
 
-def _strengths_of(event: Event) -> Sequence[float]:
+def _ranked(
+    event: Event, prediction: Prediction, said: Mapping[str, Any], rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Return the rows of the table about a video."""
     assert event.truth is not None, "it was drawn"
-    return [float(one) for one in event.truth.strengths if one is not None]
+    truth, rows = true_answers(event), []
+    for question, p in prediction.probabilities.items():
+        true = prediction.questions[question].index(truth[question])
+        by = np.round(said[question]["by"], 12)
+        logs = log_probabilities(p)
+        of_answers = {
+            "truth": p[true],
+            "top": p.max(),
+            "right": float(prediction.answers[question] == truth[question]),
+            "log_score": logs[true],
+            "expected": float((p * logs).sum()),
+        }
+        row = _row(event, question, by[said[question]["drawn"]], by[true], rng)
+        rows.append({**row, **of_answers})
+    strengths = zip(space_of(event.scene.world).strength_sites, event.truth.strengths, strict=True)
+    for name, strength in strengths:
+        if name in said and strength is not None:
+            grid = said[name]["grid"]
+            value = strength if grid is None else _nearest(np.array(grid), strength)
+            rows.append(_row(event, name, np.array(said[name]["drawn"]), value, rng))
+    return rows
 
 
-def _on_grid(post: EventPosterior, values: FloatArray, strength: float) -> float:
-    """Return a strength as the posterior could have it: on its grid, if it has one."""
+def _nearest(grid: FloatArray, strength: float) -> float:
+    """Return the level that stands for a strength."""
     from phase_ppl.models.effective import place_of_level
 
-    if isinstance(post, StepwisePosterior):
-        levels = np.array(post.settings["likelihood"]["tracking"]["strengths"])
-    elif post.settings.get("kernel") == "enumerate":
-        levels = np.unique(values)
-    else:
-        return strength
-    return float(levels[place_of_level(strength, levels)])
+    return float(grid[place_of_level(strength, grid)])
+
+
+def _row(
+    event: Event, quantity: str, drawn: FloatArray, truth: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    n, equal = len(drawn), int((drawn == truth).sum())
+    rank = int((drawn < truth).sum()) + int(rng.integers(equal + 1))
+    place = (rank + rng.random()) / (n + 1)
+    return {"event": event.id, "quantity": quantity, "rank": rank, "n": n, "place": place}
 
 
 # --- summed up ------------------------------------------------------------------------------------
@@ -516,7 +561,7 @@ def _ece(top: FloatArray, right: FloatArray) -> tuple[float, float]:
 
 
 def _draw_ranks(axes: Axes, quantity: str, place: FloatArray) -> None:
-    n = _n_bars(len(place))
+    n = max(3, _n_bars(len(place)))
     counts, ends = np.histogram(place, n, (0.0, 1.0))
     axes.axhspan(*binom.ppf(_BAND, len(place), 1 / n), color="0.9", lw=0)
     axes.axhline(len(place) / n, color="0.6", lw=0.8)
