@@ -238,6 +238,31 @@ class Posterior(EventPosterior):
     def untried(self) -> float:
         return trees.untried(self._tree)
 
+    @property
+    def log_evidence(self) -> estimate.Estimate:
+        """Log p(video), in nats, per unit^8 a frame, by the likelihood as it is, also if tempered.
+
+        The kernels ``importance`` and ``amis`` estimate it, with an error by the jackknife over
+        chains; and ``smc``, whose error is NaN: one population does not tell it, runs with other
+        seeds do. NaN: the kernel estimates none, the prior was changed since, or what was sampled
+        is what the closed loop had read, whose own ``log_evidence`` is the sum.
+        """
+        stats = self._tree["sample_stats"].dataset
+        changed = self._looked_up or trees.changed_text(self.settings)
+        if "log_evidence" not in stats or changed:
+            return estimate.Estimate(math.nan)
+        value, log_weight = float(stats["log_evidence"].values[0, -1]), stats["log_weight"].values
+        groups = chain_groups(self._tree)
+        n = int(groups.max()) + 1
+        if log_weight.shape[1] == 1 or n < 2:  # a population, or a single chain
+            return estimate.Estimate(value)
+        mass = np.bincount(groups, normalised(log_weight.ravel()).reshape(log_weight.shape).sum(1))
+        size = np.bincount(groups) / len(groups)
+        with np.errstate(divide="ignore", invalid="ignore"):  # all is of one group
+            error = math.sqrt((n - 1) * np.var(np.log((1 - mass) / (1 - size))))
+        factor = estimate.LEARNT if self._attrs.get("adapts") else 1.0
+        return estimate.Estimate(value, factor * error if math.isfinite(error) else math.nan)
+
     def under(self, prior: Callable[..., object]) -> Posterior:
         if self._weights == "likelihood":
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")

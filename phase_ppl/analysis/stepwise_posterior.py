@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
-from phase_ppl.analysis.estimate import Jackknife, worth
+from phase_ppl.analysis.estimate import Estimate, Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
@@ -266,13 +266,14 @@ class StepwisePosterior(EventPosterior):
         return float(tracking.get("strength_weight", 1.0))
 
     @property
-    def log_evidence(self) -> float:
+    def log_evidence(self) -> Estimate:
         """Log p(s_1..t | s_0) of the frames that are counted, in nats, per (unit^8 rad^2) a frame.
 
         Log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight`` of the
         likelihood. Only evidence for strengths stays tempered (``Tracking.strength_weight``). Of
         two priors, or two models with the same tracking, the one with the higher log evidence
         explains the video better. If they differ in strengths, the true difference is larger.
+        Its error is by the jackknife over sets of searches; NaN: there is one.
         """
         return self._table.log_evidence(self._frame)
 

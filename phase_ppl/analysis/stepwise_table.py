@@ -23,6 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.stepwise_file import APART, as_written_now
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
@@ -480,9 +481,16 @@ class Table:
         """Return (table, row) :meth:`log_masses` as probabilities."""
         return _shares(self.log_masses(frame))
 
-    def log_evidence(self, frame: int) -> float:
-        """Return log p of the frames up to ``frame``, in nats, each counted in full."""
-        return log_sum_exp(self.log_masses(frame, 1.0)[0])
+    def log_evidence(self, frame: int) -> Estimate:
+        """Return log p of the frames up to ``frame``, in nats, each counted in full.
+
+        Its error is by the jackknife over sets of searches; NaN: there is a single set.
+        """
+        value, *without = [log_sum_exp(masses) for masses in self.log_masses(frame, 1.0)]
+        if self.is_exact:
+            return Estimate(value, 0.0)
+        n = len(without)
+        return Estimate(value, math.sqrt((n - 1) * np.var(without)) if n else math.nan)
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:

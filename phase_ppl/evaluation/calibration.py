@@ -199,7 +199,8 @@ class Calibration(Printed):
                 ]
             place = f"{row['rank']:.2f} ({row['p_even']:.3f})"
             lines.append(form.format(str(name), *cells, place).rstrip())
-        said = [f"{name}: {verdict}" for name, verdict in self.summary["verdict"].items()]
+        verdicts = self.summary["verdict"].items()
+        said = [line for name, verdict in verdicts for line in wrapped(str(name), verdict)]
         return "\n".join(
             [*lines, "", *said, *(line for n in self.notes for line in wrapped("note", n))]
         )
@@ -324,7 +325,9 @@ def calibrate(
             rows += _ranked(events[place], prediction, said, rng)
             tempering = said.get("", {}).get("tempering", "")
             if "tempered" in tempering:
-                notes[f"{tempering}, so less sure than it should be is expected"] = None
+                notes[f"{tempering.capitalize()}, so less sure than it should be is expected"] = (
+                    None
+                )
     if out is None:
         evaluation = dataclasses.replace(evaluation, folder=None)
     found = Calibration(pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(notes))
@@ -561,12 +564,15 @@ def _ece(top: FloatArray, right: FloatArray) -> tuple[float, float]:
 
 
 def _draw_ranks(axes: Axes, quantity: str, place: FloatArray) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     n = max(3, _n_bars(len(place)))
     counts, ends = np.histogram(place, n, (0.0, 1.0))
     axes.axhspan(*binom.ppf(_BAND, len(place), 1 / n), color="0.9", lw=0)
     axes.axhline(len(place) / n, color="0.6", lw=0.8)
     axes.bar((ends[1:] + ends[:-1]) / 2, counts, 0.9 / n, color=COLOURS[0])
     axes.set(xlim=(0, 1), ylabel="videos")
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     axes.set_title(quantity.replace("_", " of ") if quantity.startswith("strength") else
                    f"probability of {quantity.replace('_', ' of ')}")  # fmt: skip
 

@@ -176,6 +176,42 @@ class ModelComparison(Printed):
                 columns[measure, part] = [f and f[part] for f in found]
         return pd.DataFrame(columns, index=pd.Index(self.models, name="model"), dtype=float)
 
+    def evidence(self) -> pd.DataFrame:
+        """Return log p(video) under each model, from the posteriors that evaluations have kept.
+
+        Returns:
+            A row per event and model: ``log_evidence`` of the posterior, nats, and its Monte-Carlo
+            ``error`` (NaN: unknown); the ``difference`` from the model ``against``, or from the
+            first, and ``difference_error``, as of independent runs. Events without a posterior of a
+            model are left out.
+
+        Raises:
+            InvalidSettingError: no posteriors were kept, or some are of the closed loop and some of
+                simulations, whose densities are of different things.
+        """
+        rows, kinds = [], set()
+        for one in self.entries:
+            kept = None if one.folder is None else Evaluation.load(one.folder)
+            for event_id in () if kept is None else one.predictions:
+                post = kept.posterior(event_id) if kept is not None else None
+                if post is not None:
+                    kinds.add(type(post).__name__)
+                    evidence = post.log_evidence
+                    rows.append((event_id, one.name, float(evidence), evidence.error))
+        if len(kinds) != 1:
+            why = "no evaluation has kept posteriors: evaluate with out=FOLDER"
+            both = (
+                "the closed loop's density is of positions and angles, that of kernels of positions"
+            )
+            raise InvalidSettingError(f"log evidence cannot be compared: {both if kinds else why}")
+        found = pd.DataFrame(rows, columns=["event", "model", "log_evidence", "error"])
+        base = found[found["model"] == (self.settings["against"] or self.models[0])]
+        base = found[["event"]].merge(base, how="left", on="event")
+        same = found["model"] == base["model"]
+        found["difference"] = found["log_evidence"] - base["log_evidence"]
+        error = np.hypot(found["error"], base["error"])
+        return found.assign(difference_error=error.mask(same, 0.0))
+
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write everything into a folder: comparison.json and events.json.
 

@@ -340,10 +340,13 @@ class Sampler:
 
     def _weighed(self) -> list[Columns]:
         """Return the particles with their final weights."""
-        if self._adaptation is None:
+        if self._adaptation is not None:
+            with on_cpu():
+                weights = self._adaptation.log_weights()
+        elif self._run.info.name == "importance":
+            weights = np.stack([particles["log_weight"] for particles in self._particles])
+        else:
             return self._particles
-        with on_cpu():
-            weights = self._adaptation.log_weights()
         # weights are relative to a likelihood without any error
         perfect = self._run.model.error_likelihood.log_prob(np.zeros(self._n_frames)).sum()
         evidence = log_sum_exp(weights) - math.log(weights.size) + float(perfect)

@@ -33,7 +33,6 @@ ONLY_READ = {
     "at": "at another frame: simulations are proposed from the whole video",
     "planner_seeds": "sets of searches",
     "sites": "of the prior beside a hypothesis; simulations have them in their table",
-    "log_evidence": "the sum over hypotheses, which samples do not give",
     "surprise": "of each frame, given those before it",
 }
 

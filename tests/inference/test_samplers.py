@@ -210,7 +210,9 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
     assert ("weighted draws" in post.diagnostics()["verdict"]) == info.weighted
     weight = post.tree["sample_stats"]["log_weight"].values
     assert (np.ptp(weight) > 0) == (kernel in ("enumerate", "importance", "amis"))
-    assert ("log_evidence" in post.tree["sample_stats"]) == (kernel == "smc")
+    estimates = kernel in ("smc", "importance", "amis")
+    assert np.isfinite(post.log_evidence) == estimates
+    assert np.isfinite(post.log_evidence.error) == (estimates and kernel != "smc")
     assert post.tree.attrs["validity"] == info.validity
     if kernel == "enumerate":
         assert post.cost["simulations"] == np.isfinite(weight).sum() == 44

@@ -137,6 +137,7 @@ def test_by_its_density_the_posterior_is_the_sum_over_all_hypotheses(
     )
     assert (over_time["relation_error"] == 0).all()
     assert exact.log_evidence == pytest.approx(np.log(total), abs=1e-5)
+    assert exact.log_evidence.error == 0
     assert exact.tempering == ""
     assert "by the density of" in str(exact)
 

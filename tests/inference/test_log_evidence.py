@@ -1,0 +1,90 @@
+"""The log evidence that kernels estimate, against the sum over all hypotheses."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from tests.inference.toy import (
+    ALPHA_CODES,
+    ALPHA_MASS,
+    GREEN_GOALS,
+    GREEN_MASS,
+    RED_GOALS,
+    RED_MASS,
+    SCENE,
+    few_goals,
+)
+
+LIKELIHOOD = ppl.RadialLikelihood(1.0)
+N_FRAMES = 5
+
+
+def stands(scene: ppl.Scene, hypothesis: Any, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Agents go at once to places of their goals, without chance."""
+    yield scene.start
+    frame = scene.start.copy()
+    frame[:2, :2] += [[np.cos(goal), np.sin(goal)] for goal in hypothesis.effective_goals]
+    yield from itertools.repeat(frame)
+
+
+MODEL = ppl.Model(prior=few_goals, simulator=stands, likelihood=LIKELIHOOD)
+
+
+@functools.cache
+def event() -> ppl.Event:
+    rng = np.random.default_rng(0)
+    frames = np.repeat(SCENE.start[None], N_FRAMES, axis=0)
+    frames[1:, :2, :2] += np.array([1.0, 0.0]) + rng.normal(0, 0.3, (N_FRAMES - 1, 2, 2))
+    return ppl.Event(SCENE, ppl.Observation(frames), id="stands")
+
+
+def exact() -> float:
+    axes = (
+        zip(RED_GOALS, RED_MASS, strict=True),
+        zip(GREEN_GOALS, GREEN_MASS, strict=True),
+        zip(ALPHA_CODES, ALPHA_MASS, strict=True),
+    )
+    found, seen = [], event().observation.trajectory
+    for (red, r), (green, g), (alpha, a) in itertools.product(*axes):
+        frames = stands(SCENE, Hypothesis(red, green, ALPHAS[alpha]), np.random.default_rng())
+        shown = np.array(list(itertools.islice(frames, N_FRAMES)))
+        errors = np.sqrt(((seen - shown)[..., :2] ** 2).sum(axis=(1, 2)))
+        found.append(np.log(r * g * a) + LIKELIHOOD.log_prob(errors).sum())
+    return float(np.logaddexp.reduce(found))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", ["importance", "amis", "smc"])
+def test_it_is_the_sum_over_all_hypotheses_within_its_error(kernel: str) -> None:
+    post = ppl.infer(
+        event(), MODEL, kernel=kernel, chains=30, iterations=8, workers=1, progress=False
+    )
+    found = post.log_evidence
+    error = 0.25 if kernel == "smc" else found.error  # one population does not tell it
+    assert 0 < error < 0.5
+    assert found == pytest.approx(exact(), abs=3 * error)
+
+
+@pytest.mark.slow
+def test_models_are_compared_by_it_event_by_event(tmp_path: Path) -> None:
+    wider = ppl.Model(prior=few_goals, simulator=stands, likelihood=ppl.RadialLikelihood(0.1))
+    how: dict[str, Any] = {"kernel": "importance", "chains": 30, "iterations": 8, "workers": 1}
+    for name, model in {"near": MODEL, "wide": wider}.items():
+        ppl.evaluate(event(), model, out=tmp_path / name, progress=False, **how)
+    folders = {"near": tmp_path / "near", "wide": tmp_path / "wide"}
+    table = ppl.compare_models(folders).evidence().set_index("model")
+    near, wide = table.loc["near"], table.loc["wide"]
+    assert near["log_evidence"] == pytest.approx(exact(), abs=3 * near["error"])
+    assert near["difference"] == near["difference_error"] == 0
+    assert wide["difference"] == wide["log_evidence"] - near["log_evidence"] < -10
+    assert wide["difference_error"] == pytest.approx(np.hypot(near["error"], wide["error"]))
