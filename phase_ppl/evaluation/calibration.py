@@ -8,8 +8,9 @@ video is calibrated if the truth cannot be told from its draws. Then, over many 
 * the log score of the truth is, in the mean, what the posterior itself expects.
 
 Strengths are ranked by their value, goals and relations by their probability, a test quantity that
-depends on the data (Modrak et al. 2023). Ties are broken by chance. Log scores have the lapse of
-:mod:`phase_ppl.evaluation.doubt`, on both sides.
+depends on the data (Modrak et al. 2023). Ties are broken by chance. Draws are the last ones of
+chains. Hypotheses with weights are drawn by these, so the ranks are as good as the weights. Log
+scores have the lapse of :mod:`phase_ppl.evaluation.doubt`, on both sides.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import dataclasses
 import functools
 import os
 import tempfile
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -57,7 +59,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import MIN_FRAMES, Event, Observation, Truth
 from phase_ppl.world.files import write_bytes, write_json
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.picture import Printed, wrapped
+from phase_ppl.world.picture import WIDTH, Printed, wrapped
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
@@ -200,7 +202,11 @@ class Calibration(Printed):
             place = f"{row['rank']:.2f} ({row['p_even']:.3f})"
             lines.append(form.format(str(name), *cells, place).rstrip())
         verdicts = self.summary["verdict"].items()
-        said = [line for name, verdict in verdicts for line in wrapped(str(name), verdict)]
+        said = [
+            line
+            for name, verdict in verdicts
+            for line in textwrap.wrap(f"{name}: {verdict}", WIDTH, subsequent_indent="  ")
+        ]
         return "\n".join(
             [*lines, "", *said, *(line for n in self.notes for line in wrapped("note", n))]
         )
@@ -262,10 +268,11 @@ def calibrate(
 ) -> Calibration:
     """Draw hypotheses and videos from a model, infer each, and say whether it is as sure as right.
 
-    The hypothesis comes from the model's prior. The video comes from its simulator: from
-    ``next_frames``, if the simulator has it and the closed loop reads, else from a whole
-    simulation. If a video cannot be an event, as a body leaves the arena, or the simulator fails,
-    hypothesis and video are drawn anew, which leaves the posterior as it is.
+    The hypothesis comes from the model's prior. The video is a whole simulation; or drawn frame by
+    frame, by ``next_frames``, if the simulator has nothing else or the model's likelihood is a
+    :class:`phase_ppl.StepwiseLikelihood`. If a video cannot be an event, as a body leaves the
+    arena, or the simulator fails, hypothesis and video are drawn anew, which leaves the posterior
+    as it is.
 
     To be calibrated, videos must be what the likelihood says. The joint simulator's are not quite:
     the closed loop takes its agents to be less determined than they are, and its likelihood and
