@@ -66,8 +66,9 @@ class StepwiseLikelihood:
         weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
             simulator of one's own.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
-            with errors unknown. All sets search for the most probable combinations of goals only,
-            or for all where there are more than 50 000 hypotheses.
+            with errors unknown. All sets search for the combinations of goals that together have
+            0.9 of the mass, until one has 0.95. For the rest the first set alone searches, with
+            half of the simulations. With more than 50 000 hypotheses all sets search for all.
         tracking: how hidden velocities, holds and strengths are followed.
         samples: next frames of a simulator of one's own, for each hypothesis and frame.
 
