@@ -39,6 +39,7 @@ def saved(example: str, folder: Path) -> Path:
 
 def test_all_pages_with_examples_are_known() -> None:
     assert {name: len(found) for name, found in EXAMPLES.items()} == {
+        "cost": 1,
         "judgments": 3,
         "long_runs": 1,
         "many_events": 1,

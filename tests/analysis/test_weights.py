@@ -239,7 +239,7 @@ def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> N
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
     for given, said in (
         (tree, "density of each proposal"),
-        (with_densities(tree, [0.0, math.nan]), "'count' counts its draws"),
+        (with_densities(tree, [0.0, math.nan]), "use weights='count'"),
         (with_densities(tree, 0.0), "need the prior of pairs"),
     ):
         with pytest.raises(InvalidSettingError, match=said):
