@@ -20,7 +20,7 @@ from matplotlib import rc_context
 import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.models.roles import masses
+from phase_ppl.models.roles import bound, masses
 from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError
@@ -484,6 +484,6 @@ def test_priors_that_cannot_be_are_refused_in_one_line() -> None:
         (leaning, "makes 'strength_red' depend on strong"),
     ):
         with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
-            masses(prior, CAST)
+            masses(bound(prior, CAST))
         assert "\n" not in str(raised.value)
-    assert masses(dependent, CAST).company.shape == (25,)
+    assert masses(bound(dependent, CAST)).company.shape == (25,)
