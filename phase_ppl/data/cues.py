@@ -67,7 +67,7 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the largest approach within three frames before a contact begins, over 5 units."""
     apart, touch = _apart(observation, pair), _touch(scene, observation, pair)
-    begins = np.flatnonzero(touch[1:] & ~touch[:-1])
+    begins = np.flatnonzero(touch[1:] & ~touch[:-1]).tolist()
     return float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0)) / _NEAR
 
 
