@@ -433,7 +433,8 @@ class Hypotheses(Printed):
 
     def _ratio(self, queries: Sequence[Query], question: str) -> Estimate:
         """Return the answer to one question over that to another."""
-        numbers, replicates, own = [], [], []
+        numbers, replicates, own = list[Estimate](), list[FloatArray](), list[float]()
+        without: Jackknife | Jackknives | None = None
         for query in queries:
             statistic, values = self._asked(query)
             numbers.append(number := self._number(statistic, values, query.given))
@@ -442,12 +443,12 @@ class Hypotheses(Printed):
                 replicates.append(statistic(values[rows], without.weights))
                 own.append(float(without.error(replicates[-1], number)))
         one, other = numbers
-        if other == 0:
+        if not other:
             raise QueryError("this is 0, and nothing can be divided by it", question, queries[1].at)
         ratio = float(one / other)
         # in units of the ratio
         errors = np.array([one.error / other, ratio * other.error / other])
-        if len(own) < len(numbers) or len(replicates[0]) != len(replicates[1]):
+        if without is None or len({len(one) for one in replicates}) > 1 or len(own) < len(numbers):
             return Estimate(ratio, float(np.hypot(*errors)))
         with np.errstate(divide="ignore", invalid="ignore"):
             shared = without.error(replicates[0] / replicates[1], ratio)

@@ -69,12 +69,12 @@ def query(options: Options) -> int:
     if failed and not answers:
         raise failed[0]
     if options.json:
-        _print_json([{"question": one, **_record(found)} for one, found in answers.items()], 2)
+        _print_json([{"question": q, **_record(found)} for q, found in answers.items()], 2)
     else:
         for question, found in answers.items():
             print("\n".join(_lines(" ".join(question.split()), found)))
-    for error in failed:
-        print(f"phase-ppl: error: {error}", file=sys.stderr)
+    for one in failed:
+        print(f"phase-ppl: error: {one}", file=sys.stderr)
     return FAILED if failed else 0
 
 
