@@ -19,7 +19,6 @@ from scipy import special, stats
 import phase_ppl as ppl
 from phase_people.observers import (
     ANSWERS,
-    CUES,
     HALF_LIVES,
     QUESTIONS,
     RELATIONS,
@@ -28,7 +27,6 @@ from phase_people.observers import (
     IntArray,
     Program,
     Responses,
-    surface_cues,
 )
 
 _NODES: Final = 64  # quadrature points for what people share about a video
@@ -310,13 +308,13 @@ def evidence_of(
         )
     likelihood = np.array([[one[0] for one in of] for of in tables])  # event, percept, leak, h
     pairs = sizes == {(len(tables[0]), _N**2)}
-    cues = [surface_cues(event.scene, event.observation) for event in events]
+    cues = [ppl.cues.surface(event.scene, event.observation) for event in events]
     return Evidence(
         tuple(event.id for event in events),
         np.maximum(np.moveaxis(likelihood, (2, 1), (0, 1)), _LOWEST),
         np.maximum(np.array([of[0][1] for of in tables]), _LOWEST),
         PAIRS if pairs else _RELATIONS_ONLY,
-        {name: np.array([one[name] for one in cues]) for name in CUES},
+        {name: np.array([one[name] for one in cues]) for name in ppl.cues.CUES},
     )
 
 

@@ -82,7 +82,7 @@ class Evidence:
     log_prior: FloatArray  # (event, hypothesis) log prior masses
     # question -> (hypothesis,) index of the answer that the hypothesis implies
     answers: Mapping[str, IntArray]
-    cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``cues``)
+    cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``ppl.cues``)
 
     def at(self, places: ArrayLike) -> Evidence:
         """Return the evidence on the events at ``places``."""
@@ -172,67 +172,7 @@ def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
     return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
 
 
-# --- surface cues of a video, without any inference about goals, and noise ------------------------
-
-CUES: Final = ("distance", "contact", "working", "impact", "holding", "unsettled", "synchrony")
-"""Names of the cues, in order; :func:`surface_cues` defines them."""
-
-REACH: Final = 1.5  # half the width of an agent's broad side, in its radii
-_NEAR: Final = 5.0  # units, half the width of a room: the unit of distance and impact
-
-_SIDE: Final = 1.2
-"""Mean distance of an agent's outline from its centre, in its radii, a little generous."""
-
-_AT: Final = 0.4  # units from an item within which an agent is at it
-_MOVES: Final = 0.05  # units per frame from which on a body counts as moving
-_STIRS: Final = 0.02  # the same, when the end of all motion is sought
-_TAIL: Final = 5  # fewest frames of rest in recordings that were cut; they go on for 5 to 9
-
-
-def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, float]:
-    """Return the cues of one video, each of a size of about 1.
-
-    ``distance``: log of the mean distance between the agents' centres over 5 units. ``contact``:
-    share of frames in which their broad sides could touch. ``working``: share of frames in which an
-    agent is at an item that moves; the geometric mean of both agents, for the item with the larger
-    value. ``holding``: 1 if both hold the same item at some time. ``unsettled``: 1 if something
-    still moves at the end. ``impact``: the largest approach within three frames before a contact
-    begins, over 5 units. ``synchrony``: mean cosine between their motions, 0 in frames in which
-    one rests.
-    """
-    trajectory = observation.whole("a guess from cues").trajectory
-    radius = np.asarray(scene.radius)
-    red, green = trajectory[:, 0, :2], trajectory[:, 1, :2]
-    apart = np.linalg.norm(red - green, axis=1)
-    touch = apart < REACH * (radius[0] + radius[1])
-    held = ppl.items_held(trajectory, radius)
-    steps = np.diff(trajectory[:, :2, :2], axis=0)
-    speeds = np.linalg.norm(steps, axis=2)
-    moving = (speeds > _MOVES).all(axis=1)
-    cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
-    items = trajectory[:, None, len(ppl.AGENTS) :, :2]
-    rims = _SIDE * radius[: len(ppl.AGENTS), None] + radius[len(ppl.AGENTS) :]
-    at = np.linalg.norm(trajectory[:, : len(ppl.AGENTS), None, :2] - items, axis=-1) < rims + _AT
-    shifted = np.linalg.norm(np.diff(items[:, 0], axis=0), axis=-1) > _MOVES
-    handled = (at[1:] & shifted[:, None]).mean(axis=0)  # agent, item
-    begins = np.flatnonzero(touch[1:] & ~touch[:-1])
-    return {
-        "distance": float(np.log(max(apart.mean(), 1e-3) / _NEAR)),
-        "contact": float(touch.mean()),
-        "working": float(np.sqrt(handled.prod(axis=0)).max()),
-        "impact": float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0))
-        / _NEAR,
-        "holding": float(((held[:, 0] != -1) & (held[:, 0] == held[:, 1])).any()),
-        "unsettled": float(_moves_to_the_end(trajectory)),
-        "synchrony": float(np.where(moving, cosine, 0.0).mean()),
-    }
-
-
-def _moves_to_the_end(trajectory: FloatArray) -> bool:
-    """Whether something still moves in the last frames, so that the video was not cut at rest."""
-    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
-    moving = np.flatnonzero(steps > _STIRS)
-    return moving.size > 0 and len(steps) - 1 - int(moving[-1]) < _TAIL
+# --- noise ----------------------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
@@ -332,7 +272,7 @@ def cues(**toward: str) -> Part:
     The cues' common scale ``cue_scale`` is inferred, so that useless ones shrink together.
     """
     for name, relation in toward.items():
-        ppl.errors.check_name("cue", name, CUES)
+        ppl.errors.check_name("cue", name, ppl.cues.CUES)
         ppl.errors.check_name("relation", relation, RELATIONS)
 
     def part(belief: Belief, evidence: Evidence) -> Belief:

@@ -15,6 +15,7 @@ from phase_people.observers import Perception as Perception
 from phase_ppl import render as render
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import figures as _plots
+from phase_ppl.analysis import priors as priors
 from phase_ppl.analysis.comparison import Comparison as Comparison
 from phase_ppl.analysis.estimate import Estimate as Estimate
 from phase_ppl.analysis.figures.over_time import watch_film as watch_film
@@ -24,6 +25,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwiseP
 from phase_ppl.analysis.with_arviz import arviz_groups as arviz_groups
 from phase_ppl.analysis.with_arviz import pareto_smoothed as pareto_smoothed
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
+from phase_ppl.data import cues as cues
 from phase_ppl.data.documents import read_json as read_json
 from phase_ppl.data.environment import env as env
 from phase_ppl.data.events_netcdf import event_dataset as event_dataset
@@ -98,7 +100,6 @@ from phase_ppl.inference.settings import simulations as simulations
 from phase_ppl.inference.stepwise import StepwiseInterrupted as StepwiseInterrupted
 from phase_ppl.inference.stepwise import Watch as Watch
 from phase_ppl.inference.stepwise import watch as watch
-from phase_ppl.models import priors as priors
 from phase_ppl.models import roles as roles
 from phase_ppl.models import sites as sites
 from phase_ppl.models.density import tracing as tracing

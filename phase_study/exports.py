@@ -26,6 +26,10 @@ SLIPPED: Final = 500.0
 """Milliseconds of delay of a session's frame above which the session is marked."""
 
 _TITLE: Final = "# Export of a study"
+_REHEARSAL: Final = (
+    "A rehearsal: these are no people. Participants are scripted, and their names begin with "
+    f"`{ppl.Judgments.SCRIPTED}`, in all files."
+)
 INCLUDE: Final = ("unfinished", "excluded", "flagged")
 """People who can be exported beside those who finished; flagged ones are, unless left out."""
 
@@ -445,6 +449,7 @@ def _readme(
     kind, columns = settings.kind, _columns(settings)
     lines = [
         f"{_TITLE} of {kind}: {settings.title}", "",
+        *([f"**{_REHEARSAL}**", ""] if store.scripted else []),
         f"Made {time.strftime('%Y-%m-%d')} by phase_ppl {ppl.__version__}; the study was begun "
         f"with {store.fact('version')}, id {store.fact('id')}.", "",
         "## People", "", "| | |", "|---|---|",

@@ -19,6 +19,7 @@ import socket
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -86,7 +87,8 @@ def simulate(
         progress: whether to show bars; None: where stderr is a terminal.
 
     Returns:
-        The state of the copy at the end, in words.
+        The state of the copy at the end, in words; and how many were turned away, as the study had
+        no place for them.
 
     Raises:
         InvalidSettingError: a setting is out of range, or the study is one of play.
@@ -109,20 +111,30 @@ def simulate(
         with ThreadPoolExecutor(AT_ONCE) as pool:
             seeds = np.random.SeedSequence(seed).spawn(people)
 
-            def one(number: int) -> None:
+            def one(number: int) -> str | None:
                 rng = np.random.default_rng(seeds[number])
-                Person(copy.settings, address, beliefs, events, rng, lapse, drop_outs).take_part()
+                person = Person(copy.settings, address, beliefs, events, rng, lapse, drop_outs)
+                person.take_part()
+                return person.outcome
 
             asked = pool.map(one, range(people))
-            for _ in ppl.counted(asked, progress, "person", "asking", people):
-                pass
+            outcomes = [*ppl.counted(asked, progress, "person", "asking", people)]
         # nobody is taking part any more
         copy.settings = dataclasses.replace(copy.settings, place_kept=0)
         copy.export(out)
         stands = copy.status()
-    if not stands.counts["finished"]:
-        return f"{stands}\n\nNobody finished: there is nothing to draw."
-    return "\n".join([str(stands), *_figures(study.settings.kind, Path(out), copy)])
+        lines = [str(stands)]
+        if refused := Counter(outcomes)["full"]:
+            asked_for = f"{copy.settings.raters} raters a video, {copy.settings.trials} videos each"
+            lines.append(
+                f"\n{refused} of {people} were turned away: with {asked_for}, there was no place "
+                "left for them"
+            )
+        if not stands.counts["finished"]:
+            lines.append("\nNobody finished: there is nothing to draw.")
+        else:
+            lines += _figures(study.settings.kind, Path(out), copy)
+    return "\n".join(lines)
 
 
 def _beliefs(
@@ -164,7 +176,8 @@ def copied(study: Study) -> Iterator[Study]:
         for name in ("events.json", "study.toml"):
             shutil.copy(study.folder / name, target)
         with study.store() as store:
-            Store.create(target / FILE, store.fact("kind"), store.stimuli().values()).close()
+            of = store.fact("kind"), store.stimuli().values()
+            Store.create(target / FILE, *of, scripted=True).close()
         found = Study(target)
         found.settings = dataclasses.replace(
             found.settings,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import hmac
 import json
@@ -154,8 +155,10 @@ class Store:
             )
 
     @classmethod
-    def create(cls, path: Path, kind: str, stimuli: Iterable[Stimulus]) -> Store:
-        """Make a new database, which only its owner can read."""
+    def create(
+        cls, path: Path, kind: str, stimuli: Iterable[Stimulus], *, scripted: bool = False
+    ) -> Store:
+        """Make a new database, which only its owner can read; of a rehearsal, if ``scripted``."""
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         db = sqlite3.connect(path, isolation_level=None)
         with contextlib.closing(db):
@@ -165,6 +168,8 @@ class Store:
         store = cls(path)
         facts = {"id": secrets.token_hex(8), "kind": kind, "version": ppl.__version__,
                  "created": str(time.time()), "secret": secrets.token_hex(32)}  # fmt: skip
+        if scripted:
+            facts["scripted"] = "yes"
         with store._writing() as run:
             for name, value in facts.items():
                 run("INSERT INTO study VALUES(?,?)", (name, value))
@@ -200,6 +205,11 @@ class Store:
         """Return "id", "kind", "version" or "created" of the study."""
         return str(self._value("SELECT value FROM study WHERE name=?", name))
 
+    @functools.cached_property
+    def scripted(self) -> bool:
+        """Whether it is of a rehearsal, whose participants are scripted."""
+        return self._value("SELECT 1 FROM study WHERE name='scripted'") is not None
+
     def snapshot(self, path: Path) -> Store:
         """Return a copy of the present data; the study may go on meanwhile."""
         self._db.execute("VACUUM INTO ?", (str(path),))
@@ -229,6 +239,7 @@ class Store:
             key = self.fact("secret").encode()
             repeat = hmac.new(key, person.encode(errors="replace"), "sha256").hexdigest()
         who, token = secrets.token_hex(8), secrets.token_urlsafe(24)
+        who = f"{ppl.Judgments.SCRIPTED}{who}" if self.scripted else who
         with self._writing() as run:
             if repeat and self._value("SELECT 1 FROM participant WHERE repeat=?", repeat):
                 raise Refused("repeated")

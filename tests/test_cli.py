@@ -397,7 +397,12 @@ class TestQuery:
         assert most["values"] == [{"value": "neutral", "probability": 1.0, "error": None}]
 
     def test_a_wrong_question_is_shown_with_its_place(self, folder: Path, capsys: Capture) -> None:
-        assert main(["query", str(folder), "P(goal_red)", "P(relation=freindly)"]) == 2
+        wrong, good = "P(relation=freindly)", "P(relation=friendly)"
+        assert main(["query", str(folder), "P(x)", good, wrong, "mode relation"]) == 1
+        written = capsys.readouterr()
+        assert [line[:12] for line in written.out.splitlines()] == ["P(relation=f", "mode relatio"]
+        assert written.err.count("phase-ppl: error: ") == 2
+        assert main(["query", str(folder), wrong]) == 2
         written = capsys.readouterr()
         assert written.out == ""
         assert written.err.splitlines() == [

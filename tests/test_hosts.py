@@ -35,6 +35,7 @@ SHADOWING = ("random.py", "signal.py", "copy.py", "argparse.py")
 SCRIPT = """
     import multiprocessing, os
     import jax
+    import phase_ppl as ppl
     from phase_ppl.models.density import on_cpu
     from phase_ppl.simulator.processes import mapped
     from phase_ppl.simulator.runner import Runner
@@ -50,12 +51,14 @@ SCRIPT = """
     print(list(mapped(pow, [(2, 3), (3, 2)], workers=2, unit="power")))
 
     def infer():
-        try:
-            with on_cpu():
-                print("was not refused")
-        except ValueError as error:
-            print(error, flush=True)
+        for start in (on_cpu().__enter__, lambda: ppl.watch(SCENE, model)):
+            try:
+                start()
+                print("was not refused", flush=True)
+            except ValueError as error:
+                print(error, flush=True)
 
+    model = ppl.Model()
     jax.devices()
     child = multiprocessing.get_context("fork").Process(target=infer)
     child.start()
@@ -80,9 +83,10 @@ def test_workers_run_nothing_of_the_current_folder_and_a_forked_process_is_told_
         timeout=120,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    first, second, third = done.stdout.splitlines()
+    first, second, third, fourth = done.stdout.splitlines()
     assert (first, second) == ("[None, None]", "[8, 9]")
     assert "forked" in third
+    assert third == fourth
     assert 'multiprocessing.get_context("spawn")' in third
 
 

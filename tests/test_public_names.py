@@ -13,7 +13,7 @@ import phase_ppl as ppl
 
 ROOT = Path(__file__).parent.parent
 NAMESPACES = (
-    "plot", "render", "figures", "priors", "sites", "worlds", "observers",
+    "plot", "render", "figures", "priors", "cues", "sites", "worlds", "observers",
     "errors", "files", "goals",
 )  # fmt: skip
 APPLICATIONS = ("phase_films", "phase_people", "phase_study")

@@ -76,7 +76,7 @@ def diagnostics(
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
-    * ``n_frames``, ``overlapping_frames``, ``odd_pace``, ``unseen_frames``: see
+    * ``n_frames``, ``overlapping_frames``, ``odd_pace``, ``unseen_frames``, ``sealed_agents``: see
       :func:`of_tracks`.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
@@ -310,14 +310,22 @@ def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, An
     """Return what diagnostics have of the trajectories themselves.
 
     Keys: ``n_frames``; ``overlapping_frames``, in which bodies overlap each other or a wall;
-    ``unseen_frames``, in which each entity was not seen, of those that were not at times; and for
-    the joint simulator ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else "".
+    ``unseen_frames``, in which each entity was not seen, of those that were not at times;
+    ``sealed_agents``, who start in a room without a door; and for the joint simulator ``odd_pace``,
+    see :func:`phase_ppl.data.motion.odd_pace`, else "".
     """
+    rooms, agents = scene.rooms, scene.world.agents
+    starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
     names = zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True)
     return {
         "n_frames": len(trajectory),
         "overlapping_frames": overlapping_frames(trajectory, scene),
         "odd_pace": odd_pace(trajectory, scene) if joint else "",
+        "sealed_agents": [
+            name
+            for name, room in zip(agents, starts, strict=True)
+            if len(rooms) > 1 and not rooms.exits(room)
+        ],
         "unseen_frames": {name: np.flatnonzero(one).tolist() for name, one in names if one.any()},
     }
 

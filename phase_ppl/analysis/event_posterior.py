@@ -14,9 +14,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.answers import answers
 from phase_ppl.analysis.definitions import defined
 from phase_ppl.analysis.estimate import Estimate, shares, worth
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses, with_errors
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
@@ -25,11 +26,11 @@ from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import NO_LOO, arviz_groups, draws_of, resampled
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, QueryError, shown
-from phase_ppl.world.event import FRAMES_PER_SECOND
+from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.picture import LABEL, bars, plain, preformatted, wrapped
+from phase_ppl.world.picture import plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -305,44 +306,12 @@ class EventPosterior(Hypotheses):
         form), ``map``, ``diagnostics``, ``settings``, ``cost``. The closed loop's posterior also
         has ``log_evidence`` (nats) and ``frame``.
         """
-        record = {**self._answers(), "map": self.map_record(), **self._judged()}
+        record = {**answers(self), "map": self.map_record(), **self._judged()}
         return dict(plain({**record, "settings": self.settings, "cost": self.cost}))
 
     def _judged(self) -> dict[str, Any]:
         """Return what a summary has of the posterior as a whole."""
         return {"diagnostics": self.diagnostics()}
-
-    def _answers(self) -> dict[str, Any]:
-        """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        goals = {a: dict(with_errors(self.marginal(name))) for a, name in self.goals_of.items()}
-        found: dict[str, Any] = {"goals": goals}
-        for name in (*self.relations_of.values(), *self.scenarios_of.values()):
-            found[name] = dict(with_errors(self.marginal(name)))
-        found["strengths"] = {}
-        for agent, name in self.strengths_of.items():
-            (_, low), (_, high) = with_errors(self.hdi(name))
-            numbers = {"mean": self.mean(name), "sd": self.sd(name)}
-            found["strengths"][agent] = {**numbers, "hdi_low": low, "hdi_high": high}
-        return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
-
-    def _answer_lines(self) -> list[str]:
-        """Return the lines of a table about goals, relation, scenario and strengths."""
-        lines: list[str] = []
-        for agent, name in self.goals_of.items():
-            lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
-        for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
-            untried = self._untried(name)
-            entries = [(one, None if one in untried else p) for one, p in self.top(name, 4)]
-            lines += bars(label, entries)
-        for place, (agent, name) in enumerate(self.strengths_of.items()):
-            low, high = self.hdi(name).values
-            text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
-            lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
-        return lines
-
-    def _untried(self, name: str) -> frozenset[str]:
-        """Return the labels of a quantity that nothing was simulated for, where anything was."""
-        return frozenset()
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
@@ -378,7 +347,8 @@ class EventPosterior(Hypotheses):
 
         Args:
             prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
-                (:func:`phase_ppl.priors.available`).
+                (:func:`phase_ppl.priors.available`). One that looks at the video sees all frames
+                that were read.
 
         Raises:
             InvalidSettingError: it is no prior, or too few of its probable hypotheses were
@@ -391,7 +361,19 @@ class EventPosterior(Hypotheses):
         """Return a prior, by its name or itself; errors as of a model."""
         from phase_ppl.models.model import Model
 
-        return Model(prior=prior).in_world(self.world).prior
+        return Model(prior=prior).in_world(self.scene, self._video).prior
+
+    def bound(self, prior: Callable[..., object]) -> Callable[..., Any]:
+        """Return a prior bound to what was read, as far as it asks for it."""
+        from phase_ppl.models.roles import bound
+
+        return bound(prior, self.scene, self._video)
+
+    @property
+    def _video(self) -> Observation | None:
+        """What was read; None: the start only."""
+        seen = self.observed()
+        return Observation(seen) if len(seen) >= MIN_FRAMES else None
 
     def under(self, prior: Callable[..., object]) -> Self:
         """Return :meth:`with_prior` of a program that was checked."""
@@ -527,11 +509,3 @@ class EventPosterior(Hypotheses):
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)
-
-
-def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:
-    """Return a part of every estimate in nested dictionaries."""
-    return {
-        name: _of_each(one, part) if isinstance(one, dict) else part(one)
-        for name, one in found.items()
-    }

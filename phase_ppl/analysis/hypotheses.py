@@ -8,7 +8,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
 
 import numpy as np
@@ -28,7 +28,7 @@ from phase_ppl.analysis.estimate import (
     with_unseen,
 )
 from phase_ppl.analysis.quantities import Quantity, relations_of
-from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
+from phase_ppl.analysis.query import Clause, Conditions, Query, conditions, understood
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import hdi, n_equal
 from phase_ppl.world.arrays import FloatArray
@@ -44,6 +44,9 @@ from phase_ppl.world.space import HypothesisSpace
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.definitions import Definition
+
+Statistic: TypeAlias = Callable[[NDArray[Any], FloatArray], FloatArray]
+"""Of values (row,) and weights (..., row)."""
 
 Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
 """What to condition on: quantity -> value, or conditions in words; None: nothing."""
@@ -384,7 +387,9 @@ class Hypotheses(Printed):
         :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
         asks the same: P(conditions) of :meth:`probability`, P(name) of :meth:`marginal`, P(name,
         name) of :meth:`joint`, E, H and I of :meth:`mean`, :meth:`entropy` and
-        :meth:`mutual_information`; others have the method's name.
+        :meth:`mutual_information`; others have the method's name. Odds and ratios of numbers have
+        errors too: where errors come from leaving out sets of chains or searches, a ratio's does,
+        so that what both numbers share cancels. The rest, and the error of odds, is first order.
 
         Raises:
             QueryError: it cannot be read, names what does not exist, asks for what a quantity
@@ -395,12 +400,19 @@ class Hypotheses(Printed):
             return self._under_weights(weights).query(question)
         if (of := self._knowing(given=question)) is not self:
             return of.query(question)
-        query, event, given = understood(question, self._quantities)
-        if given is not None and not self._rows.weights[given.holds(self._rows.values)].sum() > 0:
-            reason = f"cannot condition on this: {self._why_impossible(given)}"
-            raise QueryError(reason, question, query.given_at)
-        if event is not None:
-            return self._number(estimate.share, event.holds(self._rows.values), given)
+        queries = understood(question, self._quantities)
+        for one in queries:
+            given = one.given
+            if given is not None and not self._satisfied(given) @ self._rows.weights > 0:
+                reason = f"cannot condition on this: {self._why_impossible(given)}"
+                raise QueryError(reason, question, one.given_at)
+        if len(queries) > 1:
+            return self._ratio(queries, question)
+        (query,) = queries
+        given = query.given
+        if query.event is not None:
+            found = self._number(*self._asked(query), given)
+            return found if query.question == "P" else _odds(found)
         ask: Mapping[str, Callable[..., Any]] = {
             **{"P": self.joint, "H": self.entropy, "I": self.mutual_information},
             **{"E": self.mean, "sd": self.sd, "median": self.median},
@@ -411,6 +423,38 @@ class Hypotheses(Printed):
             return ask[query.question](*(name.text for name in query.names), *number, given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None
+
+    def _asked(self, query: Query) -> tuple[Statistic, NDArray[Any]]:
+        """Return the statistic of a question with a number as answer, and its values (row,)."""
+        if query.event is not None:
+            return estimate.share, query.event.holds(self._rows.values)
+        ask = {"E": estimate.mean, "sd": estimate.sd, "median": estimate.median}
+        return ask[query.question], self._numbers(query.names[0].text)
+
+    def _ratio(self, queries: Sequence[Query], question: str) -> Estimate:
+        """Return the answer to one question over that to another."""
+        numbers, replicates, own = list[Estimate](), list[FloatArray](), list[float]()
+        without: Jackknife | Jackknives | None = None
+        for query in queries:
+            statistic, values = self._asked(query)
+            numbers.append(number := self._number(statistic, values, query.given))
+            rows, _, without = self._weighed(query.given, values)
+            if without is not None:
+                replicates.append(statistic(values[rows], without.weights))
+                own.append(float(without.error(replicates[-1], number)))
+        one, other = numbers
+        if not other:
+            raise QueryError("this is 0, and nothing can be divided by it", question, queries[1].at)
+        ratio = float(one / other)
+        # in units of the ratio
+        errors = np.array([one.error / other, ratio * other.error / other])
+        if without is None or len({len(one) for one in replicates}) > 1 or len(own) < len(numbers):
+            return Estimate(ratio, float(np.hypot(*errors)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shared = without.error(replicates[0] / replicates[1], ratio)
+        of_sets = np.array([own[0] / other, ratio * own[1] / other])
+        beyond = np.maximum(errors**2 - of_sets**2, 0.0).sum()
+        return Estimate(ratio, float(np.sqrt(shared**2 + beyond)))
 
     def _under_weights(self, weights: str) -> Hypotheses:
         raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
@@ -562,7 +606,7 @@ class Hypotheses(Printed):
 
     def _number(
         self,
-        statistic: Callable[[NDArray[Any], FloatArray], FloatArray],
+        statistic: Statistic,
         values: NDArray[Any],
         given: Given,
     ) -> Estimate:
@@ -606,6 +650,12 @@ def with_errors(found: xr.DataArray) -> list[tuple[str, Estimate]]:
 
 def _clause(quantity: Quantity, wanted: object) -> Clause:
     return Clause(lambda columns: quantity.satisfied(columns[quantity.name], wanted), quantity.name)
+
+
+def _odds(p: Estimate) -> Estimate:
+    """Return the odds of a probability; inf, with an unknown error, of what is certain."""
+    left = 1.0 - p
+    return Estimate(p / left, p.error / left**2) if left > 0 else Estimate(math.inf)
 
 
 def _entropy_of_codes(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:

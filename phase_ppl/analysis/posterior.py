@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis import tree as trees
+from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity, vocabulary_of
@@ -266,7 +267,7 @@ class Posterior(EventPosterior):
     def under(self, prior: Callable[..., object]) -> Posterior:
         if self._weights == "likelihood":
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
-        tree = trees.reweighted(self._tree, prior)
+        tree = trees.reweighted(self._tree, self.bound(prior))
         changed = self._under_weights(self._weights, tree)
         sizes = estimate.worth(changed.table.weights), estimate.worth(self.table.weights)
         trees.check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
@@ -496,9 +497,10 @@ class Posterior(EventPosterior):
         told = {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
         told |= {"fit": fit, "cost": _cost(self.cost, found)}
         lines = [line for name, text in told.items() if text for line in wrapped(name, text)]
-        return [*self._answer_lines(), "", *lines]
+        return [*answer_lines(self, self._untried), "", *lines]
 
     def _untried(self, name: str) -> frozenset[str]:
+        """Return the labels of a quantity that nothing was simulated for, where anything was."""
         if self._looked_up:
             return frozenset()
         tried_at_all = np.flatnonzero(~trees.array(self._tree, "simulations", "failed"))

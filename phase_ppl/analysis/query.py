@@ -2,8 +2,10 @@
 
 ::
 
-    question   = asked [ "|" event ]
+    question   = single [ "/" single ]        one number over another, with the error of both
+    single     = asked [ "|" event ]
     asked      = "P" event                    probability
+               | "odds" event                 P(event) / P(not event)
                | "P" names                    probabilities of all values, of all combinations
                | "E" name | "sd" name         mean, standard deviation of numbers
                | "median" name                of numbers
@@ -15,16 +17,17 @@
     names      = name { "," name }
     event      = either { "," either }        all of them hold
     either     = both { "or" both }
-    both       = single { "and" single }
-    single     = "not" single | "(" event ")" | condition
+    both       = one { "and" one }
+    one        = "not" one | "(" event ")" | condition
     condition  = name ( "=" | "!=" ) ( value | name )
                | name ( "<" | "<=" | ">" | ">=" ) ( number | name )
                | name "in" "{" value { "," value } "}"                 any of them
                | name "in" "[" number "," number "]"                   ends included
 
 Text after the first word may stand in round or square brackets: ``P(relation=friendly)``,
-``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". Two quantities are
-compared by name, as in ``P(strength_red > strength_green)`` or ``P(target_red = target_green)``. A
+``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". A ratio is of two
+numbers: ``P(relation=friendly) / P(relation=adversarial)``, or of E, sd or median. Two quantities
+are compared by name: ``P(strength_red > strength_green)`` or ``P(target_red = target_green)``. A
 comma reads "and" and binds the least: ``P(a=x or b=y, c=z)`` is the probability of (a=x or b=y) and
 c=z.
 
@@ -48,8 +51,10 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.world.errors import QueryError, UnknownNameError, shown, unknown_name
 
-QUESTIONS: Final = ("P", "E", "sd", "median", "H", "I", "mode", "top", "hdi")
+QUESTIONS: Final = ("P", "E", "sd", "median", "odds", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
+
+_DIVIDED: Final = ("P", "E", "sd", "median")  # what a ratio can be of
 
 LONGEST: Final = 10_000  # characters of a question, at most
 _WORD: Final = re.compile(r"[^\W\d]\w*")
@@ -59,6 +64,7 @@ _BARE: Final = re.compile(r"""[^,|()\[\]{}=<>!"']*""")
 _JOINING: Final = re.compile(r"\s(?:and|or)(?![^\s(])", re.IGNORECASE)
 """Characters and words that end an unquoted value."""
 
+_GIVEN: Final = "what is given comes after '|': write '|' in place of 'given'"
 _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
 _DEEPEST: Final = 50  # brackets and "not" within each other
 
@@ -80,7 +86,7 @@ class Word(NamedTuple):
 
 
 class Query(NamedTuple):
-    """A question, one of :data:`QUESTIONS`, about named quantities or, for P, an event.
+    """A question, one of :data:`QUESTIONS`, about named quantities or, for P and odds, an event.
 
     The number is that of ``top`` or ``hdi`` (a share for ``hdi``); None: the default.
     """
@@ -88,7 +94,10 @@ class Query(NamedTuple):
     question: str
     number: float | None
     names: tuple[Word, ...]
+    at: int
     given_at: int
+    event: Conditions | None
+    given: Conditions | None
 
 
 class Clause(NamedTuple):
@@ -112,11 +121,9 @@ class Conditions(NamedTuple):
         return np.logical_and.reduce([clause.holds(columns) for clause in self.clauses])
 
 
-def understood(
-    text: str, quantities: Mapping[str, Quantity]
-) -> tuple[Query, Conditions | None, Conditions | None]:
-    """Return the question in ``text``, its event and the given event; None: there is none."""
-    return _Reader(text, quantities).query()
+def understood(text: str, quantities: Mapping[str, Quantity]) -> list[Query]:
+    """Return the question in ``text``, or the two of a ratio."""
+    return _Reader(text, quantities).queries()
 
 
 def conditions(quantities: Mapping[str, Quantity], text: str) -> Conditions:
@@ -141,7 +148,19 @@ class _Reader:
 
     # --- a question ----------------------------------------------------------------------------
 
-    def query(self) -> tuple[Query, Conditions | None, Conditions | None]:
+    def queries(self) -> list[Query]:
+        found = [self._query()]
+        if self._take("/"):
+            found.append(self._query())
+            for one in found:
+                if one.question not in _DIVIDED or (one.question == "P" and one.names):
+                    example = "P(relation=friendly) / P(relation=adversarial)"
+                    self._fail(f"expected a number on both sides of '/', as in {example}", one.at)
+            if self.skip() < len(self._text):
+                self.expected("the end")
+        return found
+
+    def _query(self) -> Query:
         start = self.skip()
         word = self._match(_WORD).lower()
         question = next((one for one in QUESTIONS if one.lower() == word), "")
@@ -149,7 +168,8 @@ class _Reader:
             self.expected(f"one of {', '.join(QUESTIONS)}, as in P(goal_red)", start)
         number = self._share_or_count(question)
         closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
-        event = self.events() if question == "P" and self._is_event() else []
+        of_event = question == "odds" or (question == "P" and self._is_event())
+        event = self.events() if of_event else []
         names: list[Word] = []
         while not event and (not names or (question in ("P", "H") and self._take(","))):
             names.append(self._asked(question, names))
@@ -162,13 +182,14 @@ class _Reader:
         given_at = self.skip()
         given = self.events() if bar else []
         closed = closing is not None and self._take(closing)
-        if not (closed or closing is None) or self.skip() < len(self._text):
-            lists = bool(given) or question in ("P", "H")
+        ends = self.skip() == len(self._text) or self._text[self._at] == "/"
+        if not (closed or closing is None) or not ends:
+            lists = bool(given) or question in ("P", "odds", "H")
             expected = [] if closed else ["','"] * lists + ["'|'"] * (not bar)
             expected.append("the end" if closing is None or closed else f"'{closing}'")
             self.expected(" or ".join(expected))
-        of_event, of_given = (self.possible(one) if one else None for one in (event, given))
-        return Query(question, number, tuple(names), given_at), of_event, of_given
+        conditions = (self.possible(one) if one else None for one in (event, given))
+        return Query(question, number, tuple(names), start, given_at, *conditions)
 
     def _share_or_count(self, question: str) -> float | None:
         start = self.skip()
@@ -315,6 +336,8 @@ class _Reader:
         try:
             return quantity.code(label.text)
         except UnknownNameError as error:
+            if said := re.search(r"\sgiven\s", label.text, re.IGNORECASE):
+                self._fail(_GIVEN, label.at + said.start() + 1)
             self._fail(str(error), label.at)
 
     def _comparison(self, name: Word, how: Word, other: Word) -> Clause:
@@ -445,7 +468,11 @@ class _Reader:
             self.expected(what)
 
     def expected(self, what: str, at: int | None = None) -> NoReturn:
-        self._fail(f"expected {what}", self.skip() if at is None else at)
+        at = self.skip() if at is None else at
+        said = _WORD.match(self._text, at)
+        if said and said.group().lower() == "given":
+            self._fail(_GIVEN, at)
+        self._fail(f"expected {what}", at)
 
     def _fail(self, reason: str, at: int) -> NoReturn:
         raise QueryError(reason, self._text, at)

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, worth
@@ -36,7 +37,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
     whole_number,
 )
-from phase_ppl.world.event import FRAMES_PER_SECOND
+from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
 
@@ -124,9 +125,7 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
-        from phase_ppl.models.roles import bound
-
-        prior = bound(self._prior, self.world)
+        prior = self.bound(self._prior)
         found = with_sites(prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
 
@@ -235,14 +234,19 @@ class StepwisePosterior(EventPosterior):
         from phase_ppl.models.effective import as_given
         from phase_ppl.models.model import Model, for_table
 
-        return as_given(for_table(Model(prior=prior).prior, self.world))
+        return as_given(for_table(Model(prior=prior).prior, self.scene, self._video))
+
+    @property
+    def _video(self) -> Observation | None:
+        """All frames that were read, whatever is counted."""
+        seen = self._found["trajectory"].values
+        return Observation(seen) if len(seen) >= MIN_FRAMES else None
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.roles import bound
         from phase_ppl.models.stepwise import stepwise_prior
 
-        table, world = self._table, self.world
-        masses, attrs = stepwise_prior(bound(prior, world), world, table.levels)
+        table = self._table
+        masses, attrs = stepwise_prior(self.bound(prior), self.world, table.levels)
         known = dimensions(table.space)
         found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
@@ -462,7 +466,7 @@ class StepwisePosterior(EventPosterior):
         return f"{self.event_id}: closed loop, {found['frames']} frames; all hypotheses, {searched}"
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
-        cost, told = self.cost, [*self._notes(), *self._answer_lines(), ""]
+        cost, told = self.cost, [*self._notes(), *answer_lines(self), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"

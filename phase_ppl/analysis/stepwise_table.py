@@ -46,7 +46,7 @@ independent of goals; of more, strengths are drawn."""
 
 _LEAST: Final = 1e-12  # hypotheses with a smaller share of the mass of the best are left out
 _FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
-_GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
+GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
 
 # --- the prior ------------------------------------------------------------------------------------
 
@@ -572,7 +572,7 @@ class Table:
             row, combination = np.divmod(some, n)
             kept, weights = kept[row], weights[:, some]
         else:  # two combinations each, in their proportions: a low-discrepancy draw
-            at = (np.arange(len(kept)) * _GOLDEN)[:, None] + [0.0, 0.5]
+            at = (np.arange(len(kept)) * GOLDEN)[:, None] + [0.0, 0.5]
             combination = np.searchsorted(np.cumsum(self.strengths(frame)[0]), (at % 1.0).ravel())
             combination = np.minimum(combination, n - 1)
             kept, weights = np.repeat(kept, 2), np.repeat(weights[:, kept], 2, axis=1)

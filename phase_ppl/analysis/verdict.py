@@ -185,6 +185,13 @@ def _of_tracks(found: Record) -> Iterator[Check]:
         says = f"{ODD_PACE[pace][0].upper()}{ODD_PACE[pace][1:]}."
         value = f"too {pace}"
         yield Check("agents move as they can", "fail", value, "as pushes do", says, "check fps")
+    if sealed := found["sealed_agents"]:
+        who = f"The {' and the '.join(sealed)} {'starts' if len(sealed) == 1 else 'start'}"
+        says = (
+            f"{who} in a room that walls close: no goal elsewhere can be reached from there, so "
+            "what is done there says little of such goals. Check the walls of the scene."
+        )
+        yield Check("agents can leave their room", "unknown", ", ".join(sealed), "all", says)
     if unseen := found["unseen_frames"]:
         told = ", ".join(f"{name} in {_frames(frames)}" for name, frames in unseen.items())
         says = (

@@ -233,9 +233,9 @@ _LINES_A_SECOND: Final = 4
 def _watched(event: Event, model: phase_ppl.Model, options: Options) -> StepwisePosterior:
     """Show the posterior after every frame, in a terminal in place; return the last one."""
     drawn = 0
-    with phase_ppl.watch(
-        event.scene, model, seed=options.seed or 0, threads=options.workers, event_id=event.id
-    ) as watch:
+    seed, threads = options.seed or 0, options.workers
+    how = {"seed": seed, "threads": threads, "observation": event.observation}
+    with phase_ppl.watch(event.scene, model, event_id=event.id, **how) as watch:
         try:
             for index, frame in enumerate(event.observation.trajectory):
                 post = watch.update(frame)

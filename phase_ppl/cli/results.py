@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
 from phase_ppl.cli import own
-from phase_ppl.cli.commands import POSTERIOR, Options
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.cli.commands import FAILED, POSTERIOR, Options
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.files import as_path, writable_folder
 from phase_ppl.world.picture import plain
 
@@ -19,7 +20,7 @@ _MOST_LINES: Final = 40  # most entries of a printed table
 _LEAST: Final = 0.0005  # less probable values are not printed one by one
 
 
-def query(options: Options) -> None:
+def query(options: Options) -> int:
     """Ask a saved posterior, as in 'P(relation=friendly | goal_red=get to green agent)'.
 
     Every answer comes with its Monte-Carlo error, from the spread between the particles.
@@ -27,6 +28,8 @@ def query(options: Options) -> None:
       P(relation=friendly)                       the probability of an event
       P(relation=friendly, strength_red > 400)   of several things at once
       P(goal_red), P(goal_red, relation)         of every value; of every combination
+      odds(relation=friendly)                    against its opposite
+      P(relation=friendly) / P(alpha=(1, 0))     one number over another: P, E, sd, median
       E[strength_red]   sd(...)   hdi 90% ...    mean; standard deviation; shortest interval
       median(strength_red)                       median
       mode(goal_red)    top 3 goal_red           the most probable value; the three
@@ -57,12 +60,22 @@ def query(options: Options) -> None:
         post = post.with_prior(own.taken(options.prior, "prior"))
     if options.define is not None:
         post.define_from(options.define)
-    answers = [(question, post.query(question)) for question in options.question]
+    answers, failed = dict[str, Any](), list[QueryError]()
+    for question in options.question:
+        try:
+            answers[question] = post.query(question)
+        except QueryError as error:
+            failed.append(error)
+    if failed and not answers:
+        raise failed[0]
     if options.json:
-        _print_json([{"question": question, **_record(found)} for question, found in answers], 2)
-        return
-    for question, found in answers:
-        print("\n".join(_lines(" ".join(question.split()), found)))
+        _print_json([{"question": q, **_record(found)} for q, found in answers.items()], 2)
+    else:
+        for question, found in answers.items():
+            print("\n".join(_lines(" ".join(question.split()), found)))
+    for one in failed:
+        print(f"phase-ppl: error: {one}", file=sys.stderr)
+    return FAILED if failed else 0
 
 
 def _posterior(options: Options) -> Any:

@@ -20,6 +20,7 @@ from scipy import optimize, special
 
 from phase_ppl.data.documents import Faults, Keep, checked_rows, read_rows
 from phase_ppl.evaluation.prediction import checked_answer, questions_of
+from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -453,7 +454,10 @@ def summed_up(table: pd.DataFrame, world: World) -> str:
     asked = [f"{question} {n}" for question, n in counts.items()]
     moments = answers["at"].dropna()
     seen = f", {len(moments)} of them at {moments.nunique()} moments" if len(moments) else ""
+    scripted = table["participant"].str.startswith(Judgments.SCRIPTED).any()
     return (
-        f"{table['event'].nunique()} events, {table['participant'].nunique()} participants, "
+        f"{REHEARSAL}: "
+        * bool(scripted)
+        + f"{table['event'].nunique()} events, {table['participant'].nunique()} participants, "
         f"{len(answers)} answers ({', '.join(asked)}){seen}"
     )

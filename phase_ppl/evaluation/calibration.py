@@ -379,7 +379,7 @@ def _draw(drawing: _Drawing, number: int) -> Event:
     rng = np.random.default_rng([drawing.seed, number])
     scenes = drawing.scenes
     scene = scenes.random_scene(rng) if isinstance(scenes, World) else scenes[number % len(scenes)]
-    model = drawing.model.in_world(scene.world)
+    model = drawing.model.in_world(scene)
     video = _video_of(model, scene, drawing.frames)
     replicate = getattr(model.likelihood, "replicate", None) if drawing.noise else None
     why = ""

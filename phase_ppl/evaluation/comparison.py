@@ -29,6 +29,7 @@ from phase_ppl.evaluation.differences import LEAST_EVENTS, differences_of, equiv
 from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
 from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_measure
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import (
     PEOPLE,
     AnswerSet,
@@ -458,6 +459,8 @@ def shared_events(
             )
     if not chosen:
         raise InvalidEventError(f"there is no event that {', '.join(found)} share")
+    if rehearsed(chosen.values()):
+        notes.append(REHEARSAL)
     largest = max(map(len, given.values()))
     if len(chosen) < largest:
         notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")

@@ -44,7 +44,7 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions, until_moments
-from phase_ppl.evaluation.ratings import moments_of
+from phase_ppl.evaluation.ratings import REHEARSAL, moments_of, rehearsed
 from phase_ppl.evaluation.table import (
     PEOPLE,
     Answers,
@@ -248,6 +248,7 @@ class Evaluation(Printed):
             f"cost: {_cost(self.cost)}",
             *_first(failed, "failures"),
             *_first([f"note: {note}" for note in self.notes], "notes"),
+            *([f"note: {REHEARSAL}"] if rehearsed(self.events) else []),
         ]
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
         ending = ["", *(line for text in told for line in wrapped(text))]

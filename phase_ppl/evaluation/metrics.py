@@ -98,7 +98,7 @@ from phase_ppl.evaluation.doubt import (
 )
 from phase_ppl.evaluation.moments import PREFIX, moments
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions, scenario_of
-from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.ratings import Judgments, rehearsed
 from phase_ppl.evaluation.table import (
     Answers,
     Place,
@@ -495,7 +495,8 @@ def human_accuracy(
         (:mod:`phase_ppl.evaluation.metrics`). An event's score is the share of people who are
         right; intervals are over events. Other worlds have ``by_agent`` and ``by_pair``.
         ``majority`` is the same for the most frequent answers, ties in label order; ``ties`` counts
-        the events with one, per question. None if it is unknown who gave which answer:
+        the events with one, per question. ``scripted``, true, is there if the answers are those of
+        scripted people, in a rehearsal of a study. None if it is unknown who gave which answer:
         ``by_participant``, see :func:`participant_accuracy`, and ``confusion``, true scenario ->
         scenario of a participant's goals -> responses.
 
@@ -516,6 +517,8 @@ def human_accuracy(
         leads = most == label_places(true)
         majority[kind] = np.where(np.isnan(share[kind]), np.nan, leads)
     result: dict[str, Any] = {"n_events": len(chosen)}
+    if rehearsed(chosen):
+        result["scripted"] = True
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
         measures = accuracy_measures(answers, right, weights)

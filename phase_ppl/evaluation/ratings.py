@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Annotated, Any, Final, TypeAlias, cast
+from typing import Annotated, Any, ClassVar, Final, TypeAlias, cast
 
 import msgspec
 import numpy as np
@@ -64,13 +64,22 @@ class Judgments:
         world: of the event; it has the questions and their answers.
         moments: seconds of the film -> judgments when the film had come so far, in order. All
             others are of the whole film.
+        SCRIPTED: what names of scripted participants begin with, in all files.
     """
+
+    SCRIPTED: ClassVar = "scripted-"
 
     counts: Mapping[str, IntArray | FloatArray]
     n_raters: int
     responses: Rows = dataclasses.field(default_factory=dict)
     world: World = PHASE
     moments: Mapping[float, Judgments] = dataclasses.field(default_factory=dict)
+
+    @property
+    def scripted(self) -> bool:
+        """Whether participants were scripted: a rehearsal of a study."""
+        rows = (self.responses, *(one.responses for one in self.moments.values()))
+        return any(who.startswith(self.SCRIPTED) for of in rows for who in of)
 
     def distribution(self, question: str) -> FloatArray | None:
         """Return the share of each answer among those given (paper, Appendix 5); None if none."""
@@ -213,6 +222,14 @@ class Judgments:
             "counts": given,
             **({"responses": rows} if rows else {}),
         }
+
+
+REHEARSAL: Final = "judgments of scripted people: a rehearsal, which says nothing about people"
+
+
+def rehearsed(events: Iterable[Event]) -> bool:
+    """Whether judgments that events carry are those of scripted people."""
+    return any(judged is not None and judged.scripted for judged in map(Judgments.of, events))
 
 
 def moments_of(event: Event) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ import pandas as pd
 
 from phase_ppl.analysis.quantities import relations_of, titles
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of
-from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.ratings import Judgments, rehearsed
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
@@ -334,7 +334,8 @@ def answer_sets(
     """
     labels = [label_of(name) for name in models]
     colours = itertools.cycle(c for c in PALETTE if c not in map(COLOURS.get, models))
-    found = [AnswerSet(PEOPLE, PEOPLE, PEOPLE, PEOPLE_COLOUR, peoples_answers(events))]
+    people = f"scripted {PEOPLE}" if rehearsed(events) else PEOPLE
+    found = [AnswerSet(PEOPLE, PEOPLE, people, PEOPLE_COLOUR, peoples_answers(events))]
     for name, label in zip(models, labels, strict=True):
         kind = "reference" if name in references else "model"
         unlike = label if labels.count(label) == 1 else name

@@ -47,7 +47,7 @@ class OpenProgram(EventProgram):
 
     def __init__(self, event: Event, model: Model, settings: SimpleSettings, runner: Any) -> None:
         scene, observation = event.scene, event.observation
-        bound = model.for_sampling().in_world(scene.world)
+        bound = model.for_sampling().in_world(scene, observation)
         self.event, self.settings = event, settings
         self._runner, self._open = runner, True
         salt = event_salt(scene, observation)

@@ -329,7 +329,7 @@ def reference_of(
         return said(words, marginals(exact), 0, [], exact=True)
     if asked.enumeration:
         each, most = asked.per_pair, MOST if asked.at_any_cost else _affordable(asked, event)
-        bound = model.in_world(event.scene.world)
+        bound = model.in_world(event.scene, event.observation)
         plan = plan_enumeration(bound, seed, most)
         if plan is None and asked.at_any_cost:
             raise InvalidSettingError(

@@ -118,7 +118,7 @@ class Run:
                 f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
                 "has read takes none: it is summed exactly; take 'importance'"
             )
-        self.model = model.for_sampling().in_world(world)
+        self.model = model.for_sampling().in_world(self.event.scene, self.event.observation)
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)
         self.seed = whole_number("seed", self.seed, minimum=0)

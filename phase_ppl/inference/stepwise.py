@@ -20,6 +20,7 @@ from phase_ppl.analysis.stepwise_table import Prior, Table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
+from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
@@ -34,7 +35,7 @@ from phase_ppl.world.errors import (
     shown,
     whole_number,
 )
-from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event, Observation
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
@@ -60,6 +61,8 @@ class Watch:
         threads: searches at a time; with a simulator of one's own, processes at most, which are
             started if a frame takes long enough. The result does not depend on it.
         event_id: name of the event.
+        observation: of the whole video, where it is known beforehand: for a prior that looks at
+            it. Frames come one by one all the same.
 
     Example:
         ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
@@ -67,9 +70,11 @@ class Watch:
 
     Raises:
         InvalidSettingError: the model has another likelihood, or a simulator that cannot go on from
-            what was seen, or a prior with too many hypotheses for one that can.
+            what was seen, or a prior with too many hypotheses for one that can; or its prior looks
+            at the video, and ``observation`` is not given.
     """
 
+    @on_cpu()
     def __init__(
         self,
         scene: Scene,
@@ -78,6 +83,7 @@ class Watch:
         seed: int = 0,
         threads: int | None = None,
         event_id: str = "",
+        observation: Observation | None = None,
     ) -> None:
         self._begun = time.perf_counter()
         model = Model() if model is None else model
@@ -106,7 +112,7 @@ class Watch:
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
         self._levels = likelihood.tracking.strengths
-        prior = for_table(self.model.prior, scene.world)
+        prior = for_table(self.model.prior, scene, observation)
         kept, attrs = stepwise_prior(prior, scene.world, self._levels)
         self._constant: dict[str, Any] = dict(kept)
         self._attrs: dict[str, Any] = dict(attrs)
@@ -327,8 +333,10 @@ def filtered_frames(
     progress: bool | None = None,
 ) -> xr.Dataset:
     """Return what the posterior of :func:`filter_event` is made of."""
-    with Watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watching:
-        frames = list(event.observation.trajectory)
+    scene, seen = event.scene, event.observation
+    options: dict[str, Any] = {"seed": seed, "threads": threads, "event_id": event.id}
+    with Watch(scene, model, observation=seen, **options) as watching:
+        frames = list(seen.trajectory)
         watching.take(frames[0])
         try:
             for frame in _timed(frames[1:], progress):

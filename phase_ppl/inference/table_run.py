@@ -105,7 +105,7 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
                 "prior only, infer(post, Model(prior=...), kernel=...)"
             )
     likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
-    return Model(model.prior, likelihood=likelihood)
+    return Model(read.bound(model.prior), likelihood=likelihood)
 
 
 def check_looked_up(options: RunOptions) -> None:

@@ -127,6 +127,7 @@ class Site(NamedTuple):
 
 
 @remembered(16)
+@tracing()
 def single_sites(program: Program) -> dict[str, Site]:
     """Return the latent sites of ``program()`` that are single numbers."""
     found: dict[str, Site] = {}

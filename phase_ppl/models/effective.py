@@ -56,25 +56,31 @@ Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values 
 
 
 @dataclasses.dataclass(frozen=True)
-class WorldPrior:
-    """A NumPyro program of a world, bound to one."""
+class BoundPrior:
+    """A NumPyro program, bound to what it asks for (:func:`phase_ppl.models.roles.bound`)."""
 
-    given: Callable[..., Any]  # by the user: a program of a world, or a ready-made prior of PHASE
-    program: Callable[[World], Any]  # that it stands for
+    given: Callable[..., Any]  # by the user: a program, or a ready-made prior of PHASE
+    program: Callable[..., Any]  # that it stands for
     world: World
+    shows: str = ""  # hash of the scene or event that it looks at; "": it asks for a world only
+    arguments: tuple[Any, ...] = dataclasses.field(default=(), compare=False, repr=False)
 
     def __call__(self) -> None:
-        self.program(self.world)
+        self.program(*self.arguments)
+
+
+class WorldPrior(BoundPrior):
+    """One of another world than PHASE."""
 
 
 def as_given(prior: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a prior as the user gave it, without its world."""
-    return prior.given if isinstance(prior, WorldPrior) else prior
+    """Return a prior as the user gave it, bound to nothing."""
+    return prior.given if isinstance(prior, BoundPrior) else prior
 
 
 def space_of_prior(prior: object) -> HypothesisSpace:
     """Return the hypotheses that a prior is over: those of PHASE, unless it is bound to a world."""
-    return space_of(prior.world if isinstance(prior, WorldPrior) else PHASE)
+    return space_of(prior.world if isinstance(prior, BoundPrior) else PHASE)
 
 
 @functools.cache

@@ -25,14 +25,15 @@ from phase_ppl.models.density import (
     site_shapes,
     traced,
 )
-from phase_ppl.models.effective import WorldPrior, as_given, space_of_prior
+from phase_ppl.models.effective import BoundPrior, WorldPrior, as_given, space_of_prior
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import bound, in_one_line, is_of_any_world, masses_of, refused
+from phase_ppl.models.roles import asked, bound, in_one_line, masses_of, refused
 from phase_ppl.models.sites import HYPOTHESIS_SITES
 from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import qualified_name, source_hash
-from phase_ppl.world.scene import World
+from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import ALPHA_SITE, COMPANY_SITE, HypothesisSpace, space_of
 
 if TYPE_CHECKING:
@@ -52,7 +53,10 @@ class Model:
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
             name of a ready-made one (:mod:`phase_ppl.models.priors`). For events of other worlds
-            than PHASE a program of one argument, the world (:mod:`phase_ppl.models.roles`).
+            than PHASE a program of one argument, the world (:mod:`phase_ppl.models.roles`). One
+            that looks at the video has arguments named ``scene``, ``observation`` or ``event``. It
+            uses the video twice, as the likelihood does too: it is an empirical prior, a cue, not
+            a generative one.
         simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
             methods (:class:`phase_ppl.simulator.contract.Simulator`); None for the joint simulator
             of the paper (Algorithm 1).
@@ -115,8 +119,8 @@ class Model:
     @functools.cached_property
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
-        if is_of_any_world(self.prior):
-            return {}  # its sites depend on the world
+        if asked(self.prior):
+            return {}  # its sites depend on the world, or on what is seen
         return dict(checked_sites(self.prior))
 
     @classmethod
@@ -138,19 +142,24 @@ class Model:
         )
         return cls(prior, likelihood=likelihood, planner=planner)
 
-    def in_world(self, world: World) -> Model:
+    def in_world(self, place: World | Scene, observation: Observation | None = None) -> Model:
         """Return the model for events of a world: its prior bound to it, and its likelihood.
 
+        Args:
+            place: the world, or a scene of it.
+            observation: of the scene; for a prior that looks at the video.
+
         Raises:
-            InvalidSettingError: the prior is for PHASE and the world is not, or the reverse; or the
-                prior cannot work.
+            InvalidSettingError: the prior is for PHASE and the world is not, or the reverse; it
+                asks for what is not given; or it cannot work.
         """
-        prior: Any = bound(self.prior, world)
+        prior: Any = bound(self.prior, place, observation)
         likelihood = self.likelihood
-        if not isinstance(prior, WorldPrior):
+        if prior is self.prior:
             return self
-        if type(likelihood) is RadialLikelihood:
-            likelihood = dataclasses.replace(likelihood, n_entities=len(world.entities))
+        if isinstance(prior, WorldPrior) and type(likelihood) is RadialLikelihood:
+            n_entities = len(prior.world.entities)
+            likelihood = dataclasses.replace(likelihood, n_entities=n_entities)
         return dataclasses.replace(self, prior=prior, likelihood=likelihood)
 
     def for_reading(self) -> Model:
@@ -267,10 +276,10 @@ _NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
 _FAR: Final = 100  # distance from the allowed codes within which others are searched
 
 
-def for_table(prior: Any, world: World) -> Program:
-    """Return a model's prior bound to a world, checked where it can be a table of all there."""
-    own = bound(prior, world)
-    if isinstance(own, WorldPrior) and space_of(world).is_listed:
+def for_table(prior: Any, place: World | Scene, observation: Observation | None = None) -> Program:
+    """Return a model's prior as :func:`bound`, checked where it can be a table of all there."""
+    own = bound(prior, place, observation)
+    if isinstance(own, BoundPrior) and space_of(own.world).is_listed:
         checked_sites(own, True)
     return own
 

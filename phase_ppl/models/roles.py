@@ -13,7 +13,8 @@ prior can be a table of all hypotheses, as it is in PHASE::
 
     phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
 
-Bound to a world, such a prior is a :class:`WorldPrior`. Tables are made by
+A prior of any world may look at the video: see :func:`bound`. Bound to a world, a prior is a
+:class:`WorldPrior`. Tables are made by
 :mod:`phase_ppl.models.effective`; without one a mass is a sum over ways to help or hinder of
 products.
 """
@@ -37,14 +38,15 @@ from scipy.special import softmax
 
 from phase_ppl.models import density, effective, priors
 from phase_ppl.models.density import Program, remembered
-from phase_ppl.models.effective import WorldPrior, as_given, space_of_prior
+from phase_ppl.models.effective import BoundPrior, WorldPrior, as_given, space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, goals, strengths
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.identity import event_digest, qualified_name
+from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import COMPANY_SITE, space_of
 
 __all__ = ["company", "draw", "goals", "strengths", "uniform"]
@@ -84,6 +86,8 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Hyp
     Raises:
         InvalidSettingError: it gives (nearly) all mass to others.
     """
+    if looks_at(prior):
+        raise refused(qualified_name(prior), "looks at a video, and there is none to look at")
     program = functools.partial(role_prior(prior, world), world)
     space, key = space_of(world), jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
@@ -105,15 +109,30 @@ _READY_MADE: Final[dict[Any, RolePrior]] = {
 """Priors of PHASE -> the same in any world."""
 
 
-def is_of_any_world(prior: object) -> bool:
-    """Whether a program takes the world as its argument."""
+SHOWN: Final = ("scene", "observation", "event")
+"""Arguments by which a prior asks for what it looks at."""
+
+
+def asked(prior: object) -> tuple[str, ...]:
+    """Return what a program asks for: some of :data:`SHOWN` and "world", by the arguments' names.
+
+    A single argument of any other name is a world.
+    """
     try:
         parameters = inspect.signature(prior).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        return False
-    return (
-        sum(one.default is one.empty and one.kind < one.VAR_POSITIONAL for one in parameters) == 1
+        return ()
+    names = tuple(
+        one.name for one in parameters if one.default is one.empty and one.kind < one.VAR_POSITIONAL
     )
+    if set(names) <= {*SHOWN, "world"}:
+        return names
+    return ("world",) if len(names) == 1 else ()
+
+
+def looks_at(prior: object) -> tuple[str, ...]:
+    """Return what of an event a program asks for, some of :data:`SHOWN`."""
+    return tuple(name for name in asked(prior) if name in SHOWN)
 
 
 def role_prior(prior: Callable[..., object], world: World) -> RolePrior:
@@ -124,7 +143,7 @@ def role_prior(prior: Callable[..., object], world: World) -> RolePrior:
     """
     if prior in _READY_MADE:
         return _READY_MADE[prior]
-    if not is_of_any_world(prior):
+    if asked(prior) != ("world",):
         known = ", ".join(one.__name__ for one in _READY_MADE)
         raise InvalidSettingError(
             f"the prior {qualified_name(prior)} is of PHASE only, not of {world.name!r}: expected "
@@ -142,19 +161,19 @@ class Masses(NamedTuple):
     trace: Mapping[str, Any]  # a run of the program
 
 
-def masses(prior: Callable[..., object], world: World) -> Masses:
-    """Return the masses that a prior gives to goals and to ways to help or hinder in a world.
+def masses(prior: WorldPrior) -> Masses:
+    """Return the masses that a prior gives to goals and to ways to help or hinder in its world.
 
     Raises:
-        InvalidSettingError: it is of PHASE only, cannot be run, lacks a site, or has some that are
-            not independent of each other or not what they should be.
+        InvalidSettingError: it cannot be run, lacks a site, or has some that are not independent of
+            each other or not what they should be.
     """
-    program = functools.partial(role_prior(prior, world), world)
-    name, space = qualified_name(prior), space_of(world)
+    name, world = qualified_name(prior.given), prior.world
+    space = space_of(world)
     wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
     try:
-        trace = density.traced(program, jax.random.key(0))
-        depends = get_dependencies(program)["prior_dependencies"]
+        trace = density.traced(prior, jax.random.key(0))
+        depends = get_dependencies(prior)["prior_dependencies"]
     except Exception as error:  # whatever a user's program does
         raise refused(name, f"cannot be run: {in_one_line(error)}") from error
     for site in wanted:
@@ -223,29 +242,68 @@ def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> Flo
     return np.array(rows)
 
 
-# --- bound to a world -----------------------------------------------------------------------------
+# --- bound to a world, or to what is seen ---------------------------------------------------------
 
 
-def bound(prior: Callable[..., object], world: World) -> Program:
+def bound(
+    prior: Callable[..., object], place: World | Scene, observation: Observation | None = None
+) -> Program:
     """Return a prior as it is in a world: bound to it, unless that is PHASE.
 
+    A prior that asks by the names of its arguments for the ``scene``, the ``observation`` or the
+    ``event`` (both of these, without truth) is bound to what is shown. It uses the video twice,
+    as does the likelihood: it is an empirical prior, a cue, not a generative one. One that is bound
+    to an event stays so, whatever else is shown.
+
     Raises:
-        InvalidSettingError: it is of PHASE and the world another, or the reverse.
+        InvalidSettingError: it is of PHASE and the world another, or the reverse; or it asks for
+            what is not shown here.
     """
+    if isinstance(prior, BoundPrior) and prior.shows:
+        return prior
     prior = as_given(prior)
+    scene = place if isinstance(place, Scene) else None
+    world = place.world if isinstance(place, Scene) else place
+    kind = BoundPrior if world == PHASE else WorldPrior
+    if looks_at(prior):
+        return _looking(prior, kind, world, scene, observation)
     if world != PHASE:
-        return WorldPrior(prior, role_prior(prior, world), world)
-    if is_of_any_world(prior):
+        return kind(prior, role_prior(prior, world), world, arguments=(world,))
+    if asked(prior):
         wanted = f"in PHASE one takes none and samples {', '.join(space_of(PHASE).sites)}"
-        raise refused(qualified_name(prior), f"takes a world as its argument: {wanted}")
+        look = f"one that looks at the video takes {', '.join(SHOWN)} or some of these"
+        raise refused(qualified_name(prior), f"takes a world as its argument: {wanted}; {look}")
     return prior
+
+
+def _looking(
+    prior: Callable[..., object],
+    kind: type[BoundPrior],
+    world: World,
+    scene: Scene | None,
+    observation: Observation | None,
+) -> BoundPrior:
+    """Return a prior bound to what it looks at."""
+    names, looks = asked(prior), looks_at(prior)
+    if scene is None or (observation is None and looks != ("scene",)):
+        whole = "the scene" if looks == ("scene",) else "the whole video"
+        raise refused(
+            qualified_name(prior),
+            f"asks for {' and '.join(looks)}, and {whole} is not known here: take "
+            "phase_ppl.infer(event, model), or watch(scene, model, observation=event.observation)",
+        )
+    if looks == ("scene",) or observation is None:  # the same, whatever happens in it
+        observation = Observation(np.stack([scene.start] * 2))
+    event = Event(scene, observation)
+    seen = {"world": world, "scene": scene, "observation": observation, "event": event}
+    return kind(prior, prior, world, event_digest(event), tuple(seen[name] for name in names))
 
 
 @remembered(_PRIORS_KEPT)
 def masses_of(prior: WorldPrior) -> Masses:
     """Return the masses of own goals and ways of a prior that is bound to a world."""
     with jax.ensure_compile_time_eval():  # kernels are made inside compiled code
-        return masses(prior.given, prior.world)
+        return masses(prior)
 
 
 def effective_goals(prior: Program, most: float) -> NDArray[np.int64] | None:

@@ -76,6 +76,11 @@ NUMBERS = {
     "P(relation=friendly | alpha=(1, 0) or alpha=(0, 0))": 1 / 2,
     "E[strength_red | strength_red < strength_green or relation=friendly]": 225.0,
     "P(mood = 'keen, or not' or same_goal=False)": 1.0,
+    "odds(strength_red >= 250)": 3.0,
+    "odds(strength_red > 200 | relation=friendly)": 1.0,
+    "P(relation=friendly, strength_red > 200) / P(relation=neutral)": 1 / 2,
+    "E[strength_red | relation=friendly] / E(strength_green)": 3 / 4,
+    "odds(strength_red > 0)": math.inf,
 }
 
 
@@ -144,6 +149,15 @@ WRONG = {
     "P(not (strength_red > 3)": (24, "',' or '|' or ')'"),
     "P(not)": (5, "the name of a quantity"),
     "P(relation=friendly | strength_red > strength_green, strength_red < 250)": (22, "alone"),
+    "P(relation=friendly given alpha=(1,0))": (20, "write '|' in place of 'given'"),
+    "P(relation given alpha=(1,0))": (11, "write '|' in place of 'given'"),
+    "E[strength_red given relation=friendly]": (15, "write '|' in place of 'given'"),
+    "P(strength_red > 300 given relation=friendly)": (21, "write '|' in place of 'given'"),
+    "odds(relation)": (13, "=, !=, <"),
+    "P(relation) / P(relation=friendly)": (0, "a number on both sides of '/'"),
+    "P(relation=friendly) / mode relation": (23, "a number on both sides of '/'"),
+    "P(relation=friendly) / P(strength_red < 0)": (23, "this is 0"),
+    "E[strength_red] / E[strength_green] / E[strength_red]": (36, "the end"),
     "P(goal_red,goal_green,stated_goal_red,stated_goal_green,alpha,relation)": (2, "at most"),
 }
 
@@ -179,6 +193,27 @@ def test_comparisons_have_errors_as_of_a_definition_that_says_the_same() -> None
         named = post.query(f"P(stronger=True {condition})")
         assert (compared, compared.error) == (named, named.error)
         assert 0 < compared.error < 1
+
+
+def test_odds_and_ratios_have_the_errors_of_both_numbers_together() -> None:
+    post = Posterior(random_tree(7, n_chains=6))
+    p, rest = post.query("P(relation=neutral)"), post.query("P(not relation=neutral)")
+    odds, ratio = (
+        post.query("odds(relation=neutral)"),
+        post.query("P(relation=neutral) / P(not relation=neutral)"),
+    )
+    assert odds == pytest.approx(p / rest)
+    assert odds.error == pytest.approx(p.error / rest**2)
+    # what is added to one is missing from the other, which independent errors would not know
+    apart = ratio * math.hypot(p.error / p, rest.error / rest)
+    assert apart < ratio.error < 2 * odds.error
+    same = post.query("E[strength_red] / E[strength_red]")
+    alone = post.query("E[strength_red]")
+    assert same == 1.0
+    assert same.error < alone.error / alone * math.sqrt(2)
+    given = post.query("P(alpha=(1,0) | relation=neutral)")
+    both = post.query("P(alpha=(1,0), relation=neutral) / P(relation=neutral)")
+    assert both == pytest.approx(float(given))
 
 
 def test_other_weights_answer_a_single_question(small: Posterior) -> None:

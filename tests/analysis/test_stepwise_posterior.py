@@ -20,7 +20,7 @@ from matplotlib import rc_context
 import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.models.roles import masses
+from phase_ppl.models.roles import bound, masses
 from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError
@@ -474,6 +474,20 @@ def leaning(world: ppl.World) -> None:
         numpyro.sample(f"strength_{key}", dist.Uniform(150.0 + 100 * strong, 600.0))
 
 
+def test_an_agent_that_cannot_leave_its_room_is_said(post: StepwisePosterior) -> None:
+    assert post.diagnostics()["sealed_agents"] == []
+    scene = ppl.load_event("collaborate").scene
+    centre = scene.centre
+    walls = np.array([[centre, [16.0, 22.0]], [centre, [26.0, 12.0]], [centre, [11.0, 12.0]]])
+    found = reading(columns={"trajectory": np.repeat(scene.start[None], 4, axis=0)})
+    found = found.drop_vars("walls").assign(walls=(("wall", "end", "axis"), walls))
+    sealed = StepwisePosterior(found.assign(start=(("entity", "coord"), scene.start)))
+    told = sealed.diagnostics()
+    assert told["sealed_agents"] == ["red agent"]
+    assert "The red agent starts in a room that walls close" in told["verdict"]
+    assert "agents can leave their room" in str(sealed)
+
+
 def test_priors_that_cannot_be_are_refused_in_one_line() -> None:
     last = len(CAST.goals) - 1
     for prior, message in (
@@ -484,6 +498,6 @@ def test_priors_that_cannot_be_are_refused_in_one_line() -> None:
         (leaning, "makes 'strength_red' depend on strong"),
     ):
         with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
-            masses(prior, CAST)
+            masses(bound(prior, CAST))
         assert "\n" not in str(raised.value)
-    assert masses(dependent, CAST).company.shape == (25,)
+    assert masses(bound(dependent, CAST)).company.shape == (25,)

@@ -25,7 +25,7 @@ from scipy.stats import norm
 import phase_ppl as ppl
 from phase_people.answers import Answers, people
 from phase_people.fit import FittedObserver, PeopleFit, sampled
-from phase_people.observers import CUES, Evidence, Observer, Program, cues
+from phase_people.observers import Evidence, Observer, Program, cues
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -44,7 +44,7 @@ def world(seed: int = 0, n: int = 12, raters: int = 30) -> tuple[Evidence, Answe
     rng = np.random.default_rng(seed)
     logs = rng.normal(0.0, 1.0, (n, 3))
     logs -= logs.max(axis=1, keepdims=True)
-    seen = {name: rng.normal(0.0, 0.7, n) for name in CUES}
+    seen = {name: rng.normal(0.0, 0.7, n) for name in ppl.cues.CUES}
     masses = logs + DISTANCE * seen["distance"][:, None] * [0, 1, 0]
     counts = rng.multinomial(raters, softmax(masses, axis=1))
     evidence = Evidence(

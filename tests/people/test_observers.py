@@ -15,12 +15,10 @@ import phase_ppl as ppl
 from phase_people import observers
 from phase_people.answers import FLOOR, PAIRS, evidence_of
 from phase_people.observers import (
-    CUES,
     Evidence,
     Observer,
     Perception,
     observer_named,
-    surface_cues,
 )
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -39,7 +37,7 @@ def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:
         np.stack([logs, logs / 2, 0 * logs])[:, None],
         np.full(logs.shape, -np.log(3)),
         {"relation": np.arange(3)},
-        {name: np.full(len(logs), cues.get(name, 0.0)) for name in CUES},
+        {name: np.full(len(logs), cues.get(name, 0.0)) for name in ppl.cues.CUES},
     )
 
 
@@ -135,17 +133,17 @@ def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them
 
 
 def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
-    found = {name: surface_cues(e.scene, e.observation) for name in ppl.bundled_events()
+    found = {name: ppl.cues.surface(e.scene, e.observation) for name in ppl.bundled_events()
              for e in [ppl.load_event(name)]}  # fmt: skip
-    assert all(tuple(sorted(one)) == tuple(sorted(CUES)) for one in found.values())
+    assert all(tuple(sorted(one)) == tuple(sorted(ppl.cues.CUES)) for one in found.values())
     assert found["collaborate"]["working"] > found["independent"]["working"]
     event = ppl.load_event("independent")
     far = event.observation.trajectory.copy()
     near = far.copy()
     near[:, 1, :2] = near[:, 0, :2] + 0.1
-    close = surface_cues(event.scene, Observation(near))
+    close = ppl.cues.surface(event.scene, Observation(near))
     assert close["contact"] == 1.0
-    assert close["distance"] < surface_cues(event.scene, Observation(far))["distance"]
+    assert close["distance"] < ppl.cues.surface(event.scene, Observation(far))["distance"]
 
 
 def test_a_reading_misses_frames_and_misjudges_positions() -> None:
@@ -185,7 +183,7 @@ def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:
     logs = -rng.gamma(2.0, 3.0, (3, 1, 5, n))
     given = Evidence(
         tuple("abcde"), logs, np.full((5, n), -np.log(n)), PAIRS,
-        {name: np.zeros(5) for name in CUES},
+        {name: np.zeros(5) for name in ppl.cues.CUES},
     )  # fmt: skip
     few = given.condensed()
     assert few.log_prior.shape[1] < 100

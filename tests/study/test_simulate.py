@@ -70,6 +70,48 @@ def test_sliders_and_stops_come_out_as_judgments_at_moments(
     assert found.metrics["moments"]["log_score"]["value"] < 0
 
 
+def test_a_rehearsal_stays_marked_in_all_that_is_made_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
+    asked = make_study(tmp_path / "study", raters=4)
+    out = tmp_path / "out"
+    told = simulate(asked, out, 9, predictions=sure_of(asked), drop_outs=0.0, progress=False)
+    n = len((out / "participants.csv").read_text("utf-8").splitlines()) - 1
+    assert n < 9
+    assert f"{9 - n} of 9 were turned away: with 4 raters a video" in told
+    for table in ("participants.csv", "judgments.csv", "viewings.csv"):
+        _, *rows = (out / table).read_text("utf-8").splitlines()
+        assert all(row.startswith("scripted-") for row in rows)
+    assert "**A rehearsal: these are no people." in (out / "README.md").read_text("utf-8")
+    study = ppl.load_judgments(out / "judgments.csv")
+    words = "ehearsal, which says nothing about people"
+    assert words in str(study)
+    found = ppl.evaluate(
+        list(asked.events.values()), "majority", judgments=study, workers=1, progress=False
+    )
+    assert words in str(found)
+    compared = ppl.compare_models({"majority": found, "other": found}, resamples=200)
+    compared.save(tmp_path / "compared")
+    record = ppl.read_json(tmp_path / "compared" / "comparison.json")
+    assert any(words in note for note in record["notes"])
+    assert record["people"]["scripted"] is True
+    page = ppl.report(tmp_path / "compared").read_text("utf-8")
+    assert page.count(words) >= 2
+    assert "scripted people" in page
+    for figure in (ppl.figures.accuracy(compared), ppl.figures.scatter_relations(compared)):
+        assert words in " ".join(figure.get_supxlabel().split())
+
+
+def test_answers_of_people_are_not_marked(study: Study, tmp_path: Path) -> None:
+    study.export(tmp_path / "out")
+    assert "rehearsal" not in (tmp_path / "out" / "README.md").read_text("utf-8")
+    event = ppl.load_event("collaborate")
+    found = ppl.evaluate([event], "majority", workers=1, progress=False)
+    assert "rehearsal" not in str(found)
+    assert "scripted" not in found.metrics["people"]
+
+
 def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> None:
     with pytest.raises(InvalidSettingError, match="lapse=2, expected a share"):
         simulate(study, tmp_path / "out", 1, lapse=2)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 FORMATS: Final = (".png", ".pdf", ".svg")  # file name endings a figure can be written with
 INK: Final = "#222222"
 GREY: Final = "#666666"
+_WARNING: Final = "#b00020"
 """Colours of text: of what is shown, of what explains it."""
 
 SIMULATED_TIME: Final = "simulated time [s], a third of that of the film"
@@ -147,6 +148,14 @@ def figure_of(*kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return checked
 
     return checking
+
+
+def warned(figure: Figure, text: str) -> None:
+    """Write a warning above a figure's note."""
+    width = figure.get_figwidth()
+    lines = textwrap.fill(f"{text[:1].upper()}{text[1:]}.", int(_PER_INCH * width))
+    note = f"{lines}\n{figure.get_supxlabel()}".rstrip()
+    figure.supxlabel(note, x=0.1 / width, ha="left", color=_WARNING)
 
 
 def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:

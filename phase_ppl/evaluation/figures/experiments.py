@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from phase_ppl.analysis.figures.style import COLOURS, GREY, INK, in_style, new_figure, written
+from phase_ppl.analysis.figures.style import (
+    COLOURS,
+    GREY,
+    INK,
+    in_style,
+    new_figure,
+    warned,
+    written,
+)
 from phase_ppl.evaluation.experiments import (
     MAJORITY,
     MARGIN,
@@ -19,10 +27,12 @@ from phase_ppl.evaluation.experiments import (
     load_tags,
 )
 from phase_ppl.evaluation.figures.frame import PathLike
+from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.errors import shown as in_short
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -36,6 +46,11 @@ def _read(source: Any, kind: type[_Data], load: Callable[[Any], _Data]) -> _Data
     if not isinstance(source, kind):
         raise InvalidSettingError(f"{in_short(source)}, expected {kind.__name__} or their file")
     return source
+
+
+def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
+    if table["participant"].str.startswith(Judgments.SCRIPTED).any():
+        warned(figure, REHEARSAL)
 
 
 @in_style
@@ -69,6 +84,7 @@ def tags(
     axes.set(xlim=(0, max(10.0, 1.12 * found["percent"].max())), ylim=(-0.6, len(found) - 0.4))
     axes.set_xlabel("videos, %")
     axes.grid(axis="x")
+    _warn_of_scripted(figure, given.table)
     return written(figure, path)
 
 
@@ -118,6 +134,7 @@ def likeness(
     reach = 1.2 * max(margin, *(abs(end or 0.0) for end in (low, high, test["difference"])))
     difference.set(xlim=(-1, 1), ylim=(-reach, reach))
     difference.set_xticks([0], [" \N{MINUS SIGN}\n".join(given.groups)])
+    _warn_of_scripted(figure, given.table)
     return written(figure, path)
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
-from phase_ppl.analysis.figures.style import GREY, NORMAL, in_style
+from phase_ppl.analysis.figures.style import GREY, NORMAL, in_style, warned, written
 from phase_ppl.evaluation.cells import KIND_WORDS
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import AnswerSet, true_scenario
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.files import writable_folder
@@ -55,10 +57,21 @@ _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
 def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw], _Draw]:
-    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`."""
+    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`.
+
+    Figures of a rehearsal say so.
+    """
 
     def keep(draw: _Draw) -> _Draw:
-        styled: Any = in_style(draw)
+        @functools.wraps(draw)
+        def marked(source: Source, path: PathLike | None = None, **options: Any) -> Figure:
+            results = opened(source)
+            figure: Figure = draw(results, **options)
+            if rehearsed(results.events):
+                warned(figure, REHEARSAL)
+            return written(figure, path)
+
+        styled: Any = in_style(marked)
         DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares)
         return styled
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
+    from phase_ppl.models.effective import WorldPrior
     from phase_ppl.models.predicate import PredicateSettings
     from phase_ppl.models.roles import Masses
 
@@ -57,7 +58,8 @@ def prior_in(world: World, name: str) -> Masses:
     from phase_ppl.models.predicate import INDEPENDENT
 
     alone = functools.partial(roles.uniform, social=0.0)
-    return roles.masses(alone if name == INDEPENDENT else priors.named(name), world)
+    prior = roles.bound(alone if name == INDEPENDENT else priors.named(name), world)
+    return roles.masses_of(cast("WorldPrior", prior))
 
 
 def marginals(

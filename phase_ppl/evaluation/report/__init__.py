@@ -31,6 +31,7 @@ from phase_ppl.evaluation.comparison import (
 from phase_ppl.evaluation.evaluation import COMPARISON, POSTERIOR, SETTINGS, Evaluation
 from phase_ppl.evaluation.figures.frame import Results, drawings_of
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import (
     PEOPLE,
     AnswerSet,
@@ -340,7 +341,9 @@ def _shown(results: Results, more: Iterable[Drawn] = ()) -> dict[str, Any]:
             left_out.append(f"{title}: {reason}.")
     summary = list(metric_tables(list(metrics.items()), people))
     told = INTERVALS if summary else NOTHING_TO_COMPARE
-    return {"tables": {"Summary": summary}, "drawn": drawn, "left_out": left_out, "notes": [told]}
+    found_of = {"tables": {"Summary": summary}, "drawn": drawn, "left_out": left_out}
+    warning = f"{REHEARSAL[:1].upper()}{REHEARSAL[1:]}." if rehearsed(results.events) else ""
+    return {**found_of, "notes": [told], "warning": warning}
 
 
 def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None) -> str:

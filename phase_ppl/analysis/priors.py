@@ -1,0 +1,144 @@
+"""Ready-made priors, and what a prior says before anything is seen.
+
+The ready-made ones are in :mod:`phase_ppl.models.priors`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from phase_ppl.analysis.answers import answer_lines, answers
+from phase_ppl.analysis.estimate import Jackknife
+from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.quantities import vocabulary_of
+from phase_ppl.analysis.stepwise_table import GOLDEN, MOST_HYPOTHESES, Prior
+from phase_ppl.analysis.weights import Rows
+from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.models.density import on_cpu
+from phase_ppl.models.model import Model, for_table
+from phase_ppl.models.priors import (
+    available,
+    correlated_strengths,
+    named,
+    no_social_goals,
+    register_prior,
+    relation_first,
+    sparse_social,
+    strength_levels,
+    symmetric_alphas,
+    uniform,
+)
+from phase_ppl.models.stepwise import stepwise_prior
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Event
+from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.picture import plain, wrapped
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import space_of
+
+__all__ = [
+    "Summary",
+    "available",
+    "correlated_strengths",
+    "named",
+    "no_social_goals",
+    "register_prior",
+    "relation_first",
+    "sparse_social",
+    "strength_levels",
+    "summary",
+    "symmetric_alphas",
+    "uniform",
+]
+
+
+class Summary(Hypotheses):
+    """What a prior says, to be asked like a posterior; :func:`summary` makes it.
+
+    ``print`` shows the probable goals, relation, scenario and strengths, ``to_dict`` has all.
+    """
+
+    def __init__(self, title: str, prior: Prior) -> None:
+        space, words = prior.space, vocabulary_of(prior.space)
+        drawn = prior.n_hypotheses > MOST_HYPOTHESES
+        found = prior.drawn(np.exp(prior.log_goals)) if drawn else prior.enumerated()
+        mass = np.exp(found.log_prior - found.log_drawn)
+        kept = np.flatnonzero(mass)
+        mass, of_strengths = mass[kept] / mass.sum(), prior.of_strengths
+        apart = len(of_strengths) == 1  # any hypothesis has the same
+        row = np.arange(len(kept))
+        if apart and len(kept) * of_strengths.size > MOST_HYPOTHESES:  # one each, in proportion
+            places = row * GOLDEN % 1
+            combination = (places[:, None] > of_strengths.cumsum()[:-1]).sum(axis=1)
+        else:
+            masses = mass[:, None] * (of_strengths if apart else of_strengths[kept])
+            row, combination = np.nonzero(masses)
+            mass = masses[row, combination]
+        columns: dict[str, Any] = {
+            **dict(zip(space.stated_sites, found.stated[kept[row]].T, strict=True)),
+            space.company_site: found.way[kept[row]],
+            **dict(zip(space.goal_sites, found.goals[kept[row]].T, strict=True)),
+            **dict(zip(space.strength_sites, prior.combinations[combination].T, strict=True)),
+        }
+        rows = Rows(words.completed(columns), mass, {"hypothesis": np.arange(len(row))})
+        super().__init__(space, words.quantities, rows)
+        self._title, self._is_summed = title, not drawn
+
+    def _jackknife(self, share: float) -> Jackknife | None:
+        """Return one without error, where all hypotheses are summed."""
+        return Jackknife(self._rows.weights[None], 0.0) if self._is_summed else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``goals``, ``relation``, ``scenario``, ``strengths`` and ``errors`` of each."""
+        return dict(plain(answers(self)))
+
+    def __str__(self) -> str:
+        return "\n".join([*wrapped("prior", self._title), "", *answer_lines(self)])
+
+    def __repr__(self) -> str:
+        return f"<prior {self._title}>"
+
+
+@on_cpu()
+def summary(
+    prior: Callable[..., object] | str = uniform,
+    event: Event | None = None,
+    *,
+    world: World | None = None,
+) -> Summary:
+    """Return what a prior says of goals, relation, scenario and strengths before a run.
+
+    Goals are effective ones, so that it shows what a prior over stated goals and ``alpha`` comes
+    to: help and harm of 3 : 1 in ``alpha`` come to less in the relation, since goals also agree
+    and clash by chance. Strengths are at the closed loop's levels.
+
+    Args:
+        prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one.
+        event: for a prior that looks at the video.
+        world: whose agents and goals; by default the event's, or PHASE.
+
+    Raises:
+        InvalidSettingError: it cannot work, or looks at a video and there is no event.
+        UnknownNameError: there is no prior of that name.
+    """
+    if event is not None and world not in (None, event.scene.world):
+        raise InvalidSettingError(f"world is not that of the event: {event.scene.world.name!r}")
+    given, levels = Model(prior=prior).prior, Tracking().strengths
+    title = qualified_name(given)
+    if event is None:
+        world = PHASE if world is None else world
+        bound = for_table(given, world)
+    else:
+        world, title = event.scene.world, f"{title}, of the event {event.id}"
+        bound = for_table(given, event.scene, event.observation)
+    kept, _ = stepwise_prior(bound, world, levels)
+    every = np.array(list(itertools.product(levels, repeat=len(world.agents))))
+    return Summary(title, Prior(space_of(world), kept, every))
+
+
+def __dir__() -> list[str]:
+    return __all__

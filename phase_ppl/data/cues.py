@@ -1,0 +1,122 @@
+"""Surface cues of a video: what agents do, without any inference about goals.
+
+Each is a function of scene and observation that returns a number of a size of about 1. It is about
+two agents, by their places in ``scene.world.agents``; by default the first two. Cues are evidence
+of a relation, not parts of a model of how videos come about: a prior that uses them looks at the
+video, which the likelihood explains too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from phase_ppl.data.motion import TAIL, items_held, last_motion
+from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.event import Observation
+from phase_ppl.world.names import NOTHING
+from phase_ppl.world.scene import Scene
+
+__all__ = [
+    "CUES",
+    "contact",
+    "distance",
+    "holding",
+    "impact",
+    "surface",
+    "synchrony",
+    "unsettled",
+    "working",
+]
+
+Pair = tuple[int, int]
+
+_REACH: Final = 1.5  # half the width of an agent's broad side, in its radii
+_NEAR: Final = 5.0  # units, half the width of a room: the unit of distance and impact
+_SIDE: Final = 1.2  # mean distance of an outline from the centre, in radii, a little generous
+_AT: Final = 0.4  # units from an item within which an agent is at it
+_MOVES: Final = 0.05  # units per frame from which on a body counts as moving
+
+
+def distance(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return the log of the mean distance between the agents' centres over 5 units."""
+    return float(np.log(max(_apart(observation, pair).mean(), 1e-3) / _NEAR))
+
+
+def contact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return the share of frames in which the agents' broad sides could touch."""
+    return float(_touch(scene, observation, pair).mean())
+
+
+def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return the share of frames in which an agent is at an item that moves.
+
+    It is the geometric mean of both agents, for the item with the larger value; 0 without items.
+    """
+    trajectory, n = _seen(observation), len(scene.world.agents)
+    agents, items = trajectory[:, pair, None, :2], trajectory[:, None, n:, :2]
+    rims = _SIDE * scene.radius[[*pair], None] + scene.radius[n:]
+    at = np.linalg.norm(agents - items, axis=-1) < rims + _AT
+    shifted = np.linalg.norm(np.diff(items[:, 0], axis=0), axis=-1) > _MOVES
+    handled = (at[1:] & shifted[:, None]).mean(axis=0)  # agent, item
+    return float(np.sqrt(handled.prod(axis=0)).max(initial=0.0))
+
+
+def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return the largest approach within three frames before a contact begins, over 5 units."""
+    apart, touch = _apart(observation, pair), _touch(scene, observation, pair)
+    begins = np.flatnonzero(touch[1:] & ~touch[:-1]).tolist()
+    return float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0)) / _NEAR
+
+
+def holding(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return 1 if both agents hold the same item at some time, else 0."""
+    n = len(scene.world.agents)
+    one, other = items_held(_seen(observation), scene.radius, n_agents=n)[:, pair].T
+    return float(((one != NOTHING) & (one == other)).any())
+
+
+def unsettled(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return 1 if something still moves at the end, so that the video was not cut at rest."""
+    last = last_motion(_seen(observation))
+    return float(last > 0 and observation.n_frames - 1 - last < TAIL)
+
+
+def synchrony(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
+    """Return the mean cosine between the agents' motions, 0 in frames in which one rests."""
+    steps = np.diff(_seen(observation)[:, pair, :2], axis=0)
+    speeds = np.linalg.norm(steps, axis=2)
+    cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
+    return float(np.where((speeds > _MOVES).all(axis=1), cosine, 0.0).mean())
+
+
+CUES: Final[dict[str, Callable[..., float]]] = {
+    cue.__name__: cue for cue in (distance, contact, working, impact, holding, unsettled, synchrony)
+}
+"""All cues, by name."""
+
+
+def surface(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> dict[str, float]:
+    """Return all cues of a video, by name."""
+    return {name: cue(scene, observation, pair) for name, cue in CUES.items()}
+
+
+def _seen(observation: Observation) -> FloatArray:
+    return observation.whole("a cue").trajectory
+
+
+def _apart(observation: Observation, pair: Pair) -> FloatArray:
+    """Return (time,) distances between two agents' centres, units."""
+    one, other = _seen(observation)[:, pair, :2].transpose(1, 0, 2)
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+def _touch(scene: Scene, observation: Observation, pair: Pair) -> BoolArray:
+    """Return (time,) whether two agents' broad sides could touch."""
+    return np.asarray(_apart(observation, pair) < _REACH * scene.radius[[*pair]].sum())
+
+
+def __dir__() -> list[str]:
+    return __all__
