@@ -17,7 +17,12 @@ from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.evaluation import ResultsFolder
-from phase_ppl.evaluation.figures.frame import DRAWINGS, NothingToDrawError, draw_figures
+from phase_ppl.evaluation.figures.frame import (
+    DRAWINGS,
+    NothingToDrawError,
+    draw_figures,
+    drawings_of,
+)
 from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation
@@ -430,7 +435,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_no_text_of_a_figure_leaves_the_page_or_covers_another(crowd: ppl.ModelComparison) -> None:
-    drawn = {name: drawing.draw(crowd) for name, drawing in DRAWINGS.items()}
+    drawn = {name: drawing.draw(crowd) for name, drawing in drawings_of(crowd).items()}
     one = dataclasses.replace(crowd, settings={**crowd.settings, "against": "vlm"})
     column = DRAWINGS["differences"].draw(one)
     for figure in (*drawn.values(), column):
@@ -459,7 +464,7 @@ def test_figures_and_the_report_take_the_folder_of_a_comparison(
     assert ppl.figures.costs(tmp_path, path=tmp_path / "costs.svg").axes
     assert ppl.figures.accuracy(c).axes
     drawn = {path.stem for path in draw_figures(c, tmp_path)}
-    assert drawn == set(DRAWINGS) - {
+    assert drawn == set(drawings_of(c)) - {
         *("confusion", "correlation", "scatter_goals", "scatter_relations", "people")
     }
     assert capsys.readouterr().err.count("no figure") == 5

@@ -48,6 +48,7 @@ class Drawing(NamedTuple):
     alt: str  # alternative text for people who cannot see it
     draw: Callable[..., Figure]  # draws results, and writes the figure to a path
     compares: bool  # whether it needs a comparison of models
+    of_moments: bool  # whether it needs judgments at moments of a film
 
 
 DRAWINGS: Final[dict[str, Drawing]] = {}
@@ -56,7 +57,9 @@ DRAWINGS: Final[dict[str, Drawing]] = {}
 _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
-def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw], _Draw]:
+def drawing(
+    title: str, alt: str, *, compares: bool = False, of_moments: bool = False
+) -> Callable[[_Draw], _Draw]:
     """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`.
 
     Figures of a rehearsal say so.
@@ -72,7 +75,7 @@ def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw]
             return written(figure, path)
 
         styled: Any = in_style(marked)
-        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares)
+        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares, of_moments)
         return styled
 
     return keep
@@ -146,8 +149,10 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
     """
     results = opened(source)
     target = writable_folder(folder / FOLDER)
-    files = []
-    for name, drawing in drawings_of(results).items():
+    files, drawings = [], drawings_of(results)
+    for name in DRAWINGS.keys() - drawings.keys():  # of earlier results
+        (target / f"{name}.png").unlink(missing_ok=True)
+    for name, drawing in drawings.items():
         file = target / f"{name}.png"
         try:
             drawing.draw(results, file)
@@ -163,4 +168,9 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
 def drawings_of(results: Results) -> dict[str, Drawing]:
     """Return the drawings for results of this kind."""
     compares = isinstance(results, ModelComparison)
-    return {name: one for name, one in DRAWINGS.items() if compares or not one.compares}
+    moments = any(one.metrics.get("moments") for one in results.measured)
+    return {
+        name: one
+        for name, one in DRAWINGS.items()
+        if (compares or not one.compares) and (moments or not one.of_moments)
+    }

@@ -49,6 +49,7 @@ def _models(source: Source) -> tuple[list[Event], list[AnswerSet]]:
     "People and models over time",
     "Lines: people's shares of an answer and models' probabilities of it over the film, a row for "
     "each of up to four events.",
+    of_moments=True,
 )
 def over_time(source: Source, path: PathLike | None = None) -> Figure:
     """Draw people and models over the film, for up to four events and five answers each.
@@ -125,6 +126,7 @@ def _of_people(
     "Agreement with people over time",
     "Lines: each model's correlation with people and its log score by moment of the film, beside "
     "what people reach among themselves.",
+    of_moments=True,
 )
 def by_moment(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' correlation with people and log score by moment, with 95 % intervals.
