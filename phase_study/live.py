@@ -40,7 +40,7 @@ player; or nobody, so that they stand still."""
 
 SECONDS: Final = 120  # longest game
 _STAYS: Final = 12  # frames for which a goal must hold, 3 s
-_LEVELS: Final = reader.MODEL.likelihood.tracking.strengths
+_LEVELS: Final = reader.LIKELIHOOD.tracking.strengths
 
 
 @dataclasses.dataclass
@@ -377,8 +377,9 @@ class Live:
                 self._tell("look", self._game, frame)
             case {"t": "view", "all": bool(everything)}:
                 self._wishes.sees_all = everything
-                view = "all" if everything else "own"
-                self.room.settings = dataclasses.replace(self.room.settings, view=view)
+                self.room.settings = dataclasses.replace(
+                    self.room.settings, view="all" if everything else "own"
+                )
             case {"t": "film"} if len(self.room.frames) > 1:
                 self._make("film", {})
             case {"t": "what if", "frame": int(frame), "change": dict(change)} if (
@@ -463,9 +464,8 @@ class Live:
 
     def event(self) -> ppl.Event:
         """Return the game so far; without truth if somebody in it has no goal."""
-        truth = ppl.Truth.of(self._roles)
-        if self._wishes.partner == "nobody" and len(self.world.agents) > 1:
-            truth = None
+        alone = self._wishes.partner == "nobody" and len(self.world.agents) > 1
+        truth = None if alone else ppl.Truth.of(self._roles)
         frames = np.array(self.room.frames)
         return ppl.Event(self.room.scene, ppl.Observation(frames), id="live", truth=truth)
 

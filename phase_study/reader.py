@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 import phase_ppl as ppl
 from phase_study.room import NOTHING, outline
 
-MODEL: Final = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+LIKELIHOOD: Final = ppl.StepwiseLikelihood(planner_seeds=1)
+MODEL: Final = ppl.Model(likelihood=LIKELIHOOD)
 """What reads: the closed loop with one set of searches, the fastest."""
 
 WHY_EVERY: Final = 4  # frames: once a second
@@ -80,7 +81,7 @@ class Reader:
             labels = post.quantities[name]
             return np.bincount(rows.values[name], weights, len(labels or ())).round(4).tolist()
 
-        levels = MODEL.likelihood.tracking.strengths
+        levels = LIKELIHOOD.tracking.strengths
         asked, frame = frame is not None, post.frame
         poses, seen = post.observed()[-1], self._seen[frame]
         held = post.dataset["held"].values[frame].tolist()
