@@ -82,6 +82,8 @@ def test_frames_at_any_times_are_put_on_the_grid_and_long_gaps_are_gaps() -> Non
         Observation.at_times(poses[:2], [0, 0])
     with pytest.raises(InvalidEventError, match=r"times has shape \(3,\), expected \(2,\)"):
         Observation.at_times(poses[:2], [0, 1, 2])
+    with pytest.raises(InvalidEventError, match=r"trajectory has 0 frame"):
+        Observation.at_times([], [])
 
 
 def test_what_was_not_seen_is_not_drawn() -> None:
