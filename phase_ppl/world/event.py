@@ -139,7 +139,8 @@ class Observation:
             gap: seconds.
 
         Raises:
-            InvalidEventError: as for the class, or times do not ascend or are of another number.
+            InvalidEventError: as for the class, or times do not ascend, are more than an hour apart
+                or are of another number.
             InvalidSettingError: ``gap`` is no positive number.
         """
         given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)
