@@ -40,7 +40,8 @@ _COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """What a column is -> its names, in small letters."""
 
-_OF_A_POINT: Final = {name: kind for kind in ("x", "y", "angle", "sure") for name in _COLUMNS[kind]}
+_KINDS: Final = ("x", "y", "angle", "sure")  # what a table has of a point
+_OF_A_POINT: Final = {name: kind for kind in _KINDS for name in _COLUMNS[kind]}
 _NAMED: Final = "|".join(_OF_A_POINT)
 _WIDE: Final = (rf"(?P<name>.+?)[ _.]?(?P<kind>{_NAMED})", rf"(?P<kind>{_NAMED})_?(?P<name>\d+)")
 
@@ -149,9 +150,6 @@ def _points(table: pd.DataFrame, by_frame: bool) -> tuple[pd.DataFrame, bool]:
             "x and y, or x and y of each track, such as red_x and red_y"
         )
     return pd.concat(pieces, ignore_index=True), is_frame
-
-
-_KINDS: Final = ("x", "y", "angle", "sure")
 
 
 def _of_levels(table: pd.DataFrame) -> pd.DataFrame:
