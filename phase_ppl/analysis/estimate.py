@@ -17,6 +17,8 @@ So an error is
 
 * unknown (NaN) with one chain, or if nothing is left to condition on without one of the sets;
 * too small if all chains began at the same wrong place and none has left it;
+* too small in the closed loop for goals that were improbable, if a condition or another prior makes
+  them probable: the first set of searches alone has looked at them;
 * too small for kernels whose chains exchange states (sa, aies), and too large for
   ``enumerate``, whose chains share out the hypotheses and do not sample them.
 

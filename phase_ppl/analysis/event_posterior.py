@@ -341,9 +341,9 @@ class EventPosterior(Hypotheses):
         """Return the posterior under another prior; nothing is simulated or searched again.
 
         The closed loop's posterior has all hypotheses, so this equals a new run, except that the
-        old prior chose which goal pairs got all searches. A sampled posterior is reweighted by the
-        ratio of the priors over its simulations. The effective size is in its ``settings`` and is
-        printed.
+        old prior chose which goal pairs got all searches: for the others errors are too small. A
+        sampled posterior is reweighted by the ratio of the priors over its simulations. The
+        effective size is in its ``settings`` and is printed.
 
         Args:
             prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one

@@ -352,8 +352,8 @@ class GoalFilter:
         )
 
     def _open(self) -> Open | None:
-        """Return what is still open; None: it is not followed."""
-        if not self._is_followed:
+        """Return what is still open; None: it is not followed, or there is one set of searches."""
+        if not self._is_followed or len(self._sets) == 1:
             return None
         mass = np.exp(self._log_mass - self._log_mass.max())
         order = np.argsort(-mass, kind="stable")

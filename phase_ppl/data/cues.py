@@ -4,6 +4,9 @@ Each is a function of scene and observation that returns a number of a size of a
 two agents, by their places in ``scene.world.agents``; by default the first two. Cues are evidence
 of a relation, not parts of a model of how videos come about: a prior that uses them looks at the
 video, which the likelihood explains too.
+
+Those of two agents raise an InvalidSettingError if the world has no such agents; all raise an
+InvalidEventError if a body was not seen in some frame.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 
 from phase_ppl.data.motion import TAIL, items_held, last_motion
 from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene
@@ -38,11 +42,12 @@ _NEAR: Final = 5.0  # units, half the width of a room: the unit of distance and 
 _SIDE: Final = 1.2  # mean distance of an outline from the centre, in radii, a little generous
 _AT: Final = 0.4  # units from an item within which an agent is at it
 _MOVES: Final = 0.05  # units per frame from which on a body counts as moving
+_WHAT: Final = "a cue"  # in errors
 
 
 def distance(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the log of the mean distance between the agents' centres over 5 units."""
-    return float(np.log(max(_apart(observation, pair).mean(), 1e-3) / _NEAR))
+    return float(np.log(max(_apart(scene, observation, pair).mean(), 1e-3) / _NEAR))
 
 
 def contact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
@@ -55,7 +60,7 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 
     It is the geometric mean of both agents, for the item with the larger value; 0 without items.
     """
-    trajectory, n = _seen(observation), len(scene.world.agents)
+    trajectory, n = _seen(scene, observation, pair), len(scene.world.agents)
     agents, items = trajectory[:, pair, None, :2], trajectory[:, None, n:, :2]
     rims = _SIDE * scene.radius[[*pair], None] + scene.radius[n:]
     at = np.linalg.norm(agents - items, axis=-1) < rims + _AT
@@ -66,7 +71,7 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 
 def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the largest approach within three frames before a contact begins, over 5 units."""
-    apart, touch = _apart(observation, pair), _touch(scene, observation, pair)
+    apart, touch = _apart(scene, observation, pair), _touch(scene, observation, pair)
     begins = np.flatnonzero(touch[1:] & ~touch[:-1]).tolist()
     return float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0)) / _NEAR
 
@@ -74,19 +79,19 @@ def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float
 def holding(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return 1 if both agents hold the same item at some time, else 0."""
     n = len(scene.world.agents)
-    one, other = items_held(_seen(observation), scene.radius, n_agents=n)[:, pair].T
+    one, other = items_held(_seen(scene, observation, pair), scene.radius, n_agents=n)[:, pair].T
     return float(((one != NOTHING) & (one == other)).any())
 
 
 def unsettled(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return 1 if something still moves at the end, so that the video was not cut at rest."""
-    last = last_motion(_seen(observation))
+    last = last_motion(observation.whole(_WHAT).trajectory)
     return float(last > 0 and observation.n_frames - 1 - last < TAIL)
 
 
 def synchrony(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the mean cosine between the agents' motions, 0 in frames in which one rests."""
-    steps = np.diff(_seen(observation)[:, pair, :2], axis=0)
+    steps = np.diff(_seen(scene, observation, pair)[:, pair, :2], axis=0)
     speeds = np.linalg.norm(steps, axis=2)
     cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
     return float(np.where((speeds > _MOVES).all(axis=1), cosine, 0.0).mean())
@@ -103,19 +108,25 @@ def surface(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> dict
     return {name: cue(scene, observation, pair) for name, cue in CUES.items()}
 
 
-def _seen(observation: Observation) -> FloatArray:
-    return observation.whole("a cue").trajectory
+def _seen(scene: Scene, observation: Observation, pair: Pair) -> FloatArray:
+    """Return the trajectory, once it is known to show two agents throughout."""
+    n = len(scene.world.agents)
+    if len(pair) != 2 or not set(pair) <= set(range(n)):
+        raise InvalidSettingError(
+            f"pair={shown(pair)}, expected places of two of the world's agents, which are {n}"
+        )
+    return observation.whole(_WHAT).trajectory
 
 
-def _apart(observation: Observation, pair: Pair) -> FloatArray:
+def _apart(scene: Scene, observation: Observation, pair: Pair) -> FloatArray:
     """Return (time,) distances between two agents' centres, units."""
-    one, other = _seen(observation)[:, pair, :2].transpose(1, 0, 2)
+    one, other = _seen(scene, observation, pair)[:, pair, :2].transpose(1, 0, 2)
     return np.asarray(np.linalg.norm(one - other, axis=1))
 
 
 def _touch(scene: Scene, observation: Observation, pair: Pair) -> BoolArray:
     """Return (time,) whether two agents' broad sides could touch."""
-    return np.asarray(_apart(observation, pair) < _REACH * scene.radius[[*pair]].sum())
+    return np.asarray(_apart(scene, observation, pair) < _REACH * scene.radius[[*pair]].sum())
 
 
 def __dir__() -> list[str]:

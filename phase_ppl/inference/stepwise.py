@@ -177,8 +177,8 @@ class Watch:
         Raises:
             InvalidEventError: another shape, an infinite number, a body outside of the arena, one
                 that was not seen where the simulator has a density of whole frames, or a time
-                stamp that is not later than the last. What was read before stays, and the next
-                frame can follow.
+                stamp that is not later than the last, or later by more than an hour. What was
+                read before stays, and the next frame can follow.
             InvalidSettingError: an earlier frame was interrupted while it was read, or only some
                 frames have time stamps. What was read before that stays.
             SimulationError: the simulator failed, or nothing that it deems possible is left.
@@ -195,8 +195,8 @@ class Watch:
             raise InvalidSettingError(
                 f"reading {name} was interrupted, which left agents half way: watch it anew"
             )
-        if not self._frames and at is not None:
-            self._clock = Clock()
+        if not self._frames:
+            self._clock = None if at is None else Clock()
         if (self._clock is None) != (at is None):
             raise InvalidSettingError(
                 f"at={shown(at)} for {name}, expected time stamps of all frames or of none"

@@ -130,6 +130,12 @@ class Model:
         One set of searches, of 30 simulations over 10 particles, one strength (450 N) and eight
         states. It costs a few percent of the usual settings and is less accurate; errors are
         unknown. ``benchmarks/realtime.py`` measures both.
+
+        Args:
+            prior: as of the class.
+
+        Raises:
+            InvalidSettingError, UnknownNameError: it is no prior.
         """
         from phase_ppl.agents.config import PlannerConfig
         from phase_ppl.closed_loop.hidden_state import Tracking

@@ -16,6 +16,9 @@ PARTS: Final = 5  # of a planner step, over which a frame is the mean
 GAP: Final = 0.25
 """Seconds between two time stamps, at most, over which bodies are taken to move straight."""
 
+LONGEST: Final = 3600.0
+"""Seconds between two time stamps, at most: more are no seconds, or belong to another video."""
+
 _ROUNDING: Final = 1e-7  # seconds
 
 
@@ -41,12 +44,18 @@ class Clock:
         """Return the frames that are complete with a pose, (entity, 3), NaN where unseen.
 
         Raises:
-            InvalidEventError: the time stamp is not later than the last one.
+            InvalidEventError: the time stamp is not later than the last one, or later by more than
+                an hour. What was put before stays.
         """
         if not math.isfinite(seconds) or seconds <= self._last:
             raise InvalidEventError(
                 f"time stamp {seconds:g} after {self._last:g}: expected seconds, each later than "
                 "the one before"
+            )
+        if seconds - self._last > max(LONGEST, self._gap):
+            raise InvalidEventError(
+                f"time stamp {seconds:g} after {self._last:g}: expected seconds, at most "
+                f"{LONGEST:g} after the one before"
             )
         pose = np.array(pose)
         if math.isnan(self._last):

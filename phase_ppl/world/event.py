@@ -19,6 +19,7 @@ from phase_ppl.world.errors import (
     check_name,
     instance_of,
     nonnegative_number,
+    number_or_nan,
     positive_number,
     shown,
 )
@@ -138,7 +139,8 @@ class Observation:
             gap: seconds.
 
         Raises:
-            InvalidEventError: as for the class, or times do not ascend or are of another number.
+            InvalidEventError: as for the class, or times do not ascend, are more than an hour apart
+                or are of another number.
             InvalidSettingError: ``gap`` is no positive number.
         """
         given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)
@@ -148,7 +150,7 @@ class Observation:
             frames += clock.put(seconds, pose)
         rate = f" ({(len(stamps) - 1) / np.ptp(stamps):.3g} a second)" if len(stamps) > 1 else ""
         return cls(
-            np.array(frames).reshape(-1, *given.shape[1:]),
+            np.array(frames) if frames else given,
             f"{len(stamps)} time stamps{rate} put on {FRAMES_PER_SECOND:g} frames a second",
         )
 
@@ -198,13 +200,19 @@ class Observation:
                 entities do not match.
         """
         check_name("angles", angles, ("unseen", "heading"))
+        instance_of("world", world, World, "a phase_ppl.World")
+        instance_of("names", names, (Mapping, type(None)), "names of tracks -> entities")
+        if math.isnan(sure := number_or_nan(least_sure)):
+            raise InvalidSettingError(f"least_sure={shown(least_sure)}, expected a number")
         scale, longest = positive_number("units", units), nonnegative_number("gap", gap)
         up, entities = -1.0 if y_down else 1.0, world.entities
         x0, _, _, y1 = world.arena
-        offset = origin or ((x0, y1) if y_down else (0.0, 0.0))
+        offset = ((x0, y1) if y_down else (0.0, 0.0)) if origin is None else origin
         corner = finite_array("origin", offset, (2,), InvalidSettingError)
         if hasattr(tracks, "columns"):
-            read = read_table(tracks, fps is not None, least_sure, ahead, up)
+            read = read_table(tracks, fps is not None, sure, ahead, up)
+        elif ahead is not None:
+            raise InvalidSettingError(f"ahead={shown(ahead)}, but an array has no parts of bodies")
         else:
             read = read_array(tracks, entities, up)
         own = in_order(read, entities, names)

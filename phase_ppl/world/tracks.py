@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray, finite_array
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_memory,
+    check_name,
+    instance_of,
+    shown,
+)
 from phase_ppl.world.geometry import unwrapped
 
 if TYPE_CHECKING:
@@ -33,7 +40,8 @@ _COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """What a column is -> its names, in small letters."""
 
-_OF_A_POINT: Final = {name: kind for kind in ("x", "y", "angle", "sure") for name in _COLUMNS[kind]}
+_KINDS: Final = ("x", "y", "angle", "sure")  # what a table has of a point
+_OF_A_POINT: Final = {name: kind for kind in _KINDS for name in _COLUMNS[kind]}
 _NAMED: Final = "|".join(_OF_A_POINT)
 _WIDE: Final = (rf"(?P<name>.+?)[ _.]?(?P<kind>{_NAMED})", rf"(?P<kind>{_NAMED})_?(?P<name>\d+)")
 
@@ -59,15 +67,20 @@ def read_table(
     """
     import pandas as pd  # slow to import
 
+    instance_of("tracks", table, pd.DataFrame, "a pandas table, or an array")
+    if (twice := table.columns.duplicated()).any():
+        raise InvalidEventError(f"the table has column {table.columns[twice][0]!r} twice")
     points, is_frame = _points(table, by_frame)
     numbers = ["at", "x", "y", "angle", "sure"]
     points[numbers] = points[numbers].apply(pd.to_numeric, errors="coerce")
-    points = points.dropna(subset=["at"])  # more rows of headings, as TrackMate has
+    points = points[np.isfinite(points["at"])].copy()  # without rows of headings, as of TrackMate
+    if points.empty:
+        raise InvalidEventError("the table has no row with a number as its frame or time")
     if is_frame:
         points["at"] = points["at"].round().astype(int)
     keys = ["track", "part", "at"]
-    if (twice := points.duplicated(keys)).any():
-        track, _, at = points.loc[twice, keys].iloc[0]
+    if (again := points.duplicated(keys)).any():
+        track, _, at = points.loc[again, keys].iloc[0]
         raise InvalidEventError(f"track {track!r} has two points at {at}, expected one")
     points["y"] *= up
     doubted = points["sure"] < least_sure
@@ -75,7 +88,9 @@ def read_table(
     wide = points.pivot(index="at", columns=["track", "part"], values=["x", "y", "angle"])
     wide = wide.sort_index()
     if is_frame:
-        wide = wide.reindex(range(wide.index.min(), wide.index.max() + 1))
+        first, last = int(wide.index.min()), int(wide.index.max())
+        check_memory(f"tracks of frames {first} to {last}", 8.0 * wide.shape[1] * (last - first))
+        wide = wide.reindex(range(first, last + 1))
     names = tuple(dict.fromkeys(points["track"]))
     poses = np.stack([_pose(wide, name, ahead) for name in names], axis=1)
     seconds = None if is_frame else wide.index.to_numpy(np.float64)
@@ -87,6 +102,8 @@ def _pose(wide: pd.DataFrame, track: str, ahead: Sequence[str] | None) -> FloatA
     of_track = {kind: wide[kind][track] for kind in ("x", "y", "angle")}
     found = np.column_stack([of_track[kind].mean(axis=1) for kind in of_track]).astype(np.float64)
     if ahead is not None:
+        if len(ahead) != 2:
+            raise InvalidSettingError(f"ahead={shown(ahead)}, expected two parts of a body")
         for part in ahead:
             check_name(f"part of track {track!r}", part, list(of_track["x"].columns))
         dx, dy = (of_track[kind][ahead[1]] - of_track[kind][ahead[0]] for kind in ("x", "y"))
@@ -135,9 +152,6 @@ def _points(table: pd.DataFrame, by_frame: bool) -> tuple[pd.DataFrame, bool]:
     return pd.concat(pieces, ignore_index=True), is_frame
 
 
-_KINDS: Final = ("x", "y", "angle", "sure")
-
-
 def _of_levels(table: pd.DataFrame) -> pd.DataFrame:
     """Return the points of columns with levels: individuals, perhaps bodyparts, and coords."""
     import pandas as pd
@@ -171,9 +185,13 @@ def _piece(track: Any, part: str, at: Any, given: Mapping[str, Any]) -> pd.DataF
 
 def read_array(tracks: ArrayLike, names: Sequence[str], up: float) -> Tracks:
     """Return the tracks of an array (time, entity, 2 or 3), the entities by name."""
-    width = np.shape(tracks)[-1] if np.ndim(tracks) == 3 else 3
-    if width == 2:
-        tracks = np.concatenate([tracks, np.full((*np.shape(tracks)[:2], 1), np.nan)], axis=2)
+    try:
+        shape = np.shape(tracks)
+    except ValueError:
+        shape = ()  # ragged, as is said below
+    if len(shape) == 3 and shape[-1] == 2:
+        # what is masked stays so, and is refused
+        tracks = np.ma.concatenate([tracks, np.full((*shape[:2], 1), np.nan)], axis=2)
     poses = finite_array("tracks", tracks, (None, len(names), 3), unseen=True)
     return Tracks(tuple(names), poses * [1.0, up, 1.0], None, 0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -144,6 +145,13 @@ def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
     close = ppl.cues.surface(event.scene, Observation(near))
     assert close["contact"] == 1.0
     assert close["distance"] < ppl.cues.surface(event.scene, Observation(far))["distance"]
+
+
+@pytest.mark.parametrize("pair", [(0, 2), (-1, 0), (0,)])
+def test_cues_are_of_two_agents_and_never_of_items(pair: Any) -> None:
+    event = ppl.load_event("independent")
+    with pytest.raises(InvalidSettingError, match=r"pair=.*agents, which are 2"):
+        ppl.cues.distance(event.scene, event.observation, pair)
 
 
 def test_a_reading_misses_frames_and_misjudges_positions() -> None:

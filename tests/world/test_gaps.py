@@ -80,8 +80,12 @@ def test_frames_at_any_times_are_put_on_the_grid_and_long_gaps_are_gaps() -> Non
     np.testing.assert_allclose(turned, 4, atol=1e-6)
     with pytest.raises(InvalidEventError, match=r"time stamp 0 after 0: .*later"):
         Observation.at_times(poses[:2], [0, 0])
+    with pytest.raises(InvalidEventError, match=r"time stamp 1e\+09 after 0: .*at most 3600"):
+        Observation.at_times(poses[:2], [0, 1e9])  # nanoseconds
     with pytest.raises(InvalidEventError, match=r"times has shape \(3,\), expected \(2,\)"):
         Observation.at_times(poses[:2], [0, 1, 2])
+    with pytest.raises(InvalidEventError, match=r"trajectory has 0 frame"):
+        Observation.at_times([], [])
 
 
 def test_what_was_not_seen_is_not_drawn() -> None:

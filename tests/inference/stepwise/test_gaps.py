@@ -86,6 +86,10 @@ def test_frames_with_time_stamps_are_put_on_the_grid_while_watching(event: ppl.E
     frames = event.observation.trajectory
     times = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.8])
     with ppl.watch(event.scene, QUICK) as watch:
+        with pytest.raises(InvalidEventError, match="time stamp nan"):
+            watch.take(frames[0], at=float("nan"))
+        watch.take(frames[0])  # what failed decides nothing
+    with ppl.watch(event.scene, QUICK) as watch:
         counts = []
         for frame, at in zip(frames, times, strict=False):
             watch.take(frame, at=7.0 + at)
