@@ -120,6 +120,10 @@ def read_answers(
     cells = [[one.get(name) for name in columns] for row in rows for one in row["rows"]]
     table = pd.DataFrame(cells, columns=columns, dtype=object)
     table = table.astype(dict.fromkeys(["value", "at", "response_time", *extra], float))
+    rated = table["rating"].notna()
+    without = rated.groupby([table[n] for n in _PAIR], dropna=False).transform("any") & ~rated
+    left_out["of graded answers, without a number"] = int(without.sum())
+    table = table[~without].reset_index(drop=True)
     notes = []
     for name in ("response_time", "at"):
         median = table[name].median()
