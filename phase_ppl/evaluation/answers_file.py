@@ -269,7 +269,9 @@ class _Reader:
         """Return what identifies a row, and its ``rows`` of the tidy table."""
         faults = Faults()
         given = {n: "" if cells[n] in self.na else cells[n] for n in self.columns if n}
-        by_field = {c.field: given[n] for n, c in self.columns.items() if n and not c.question}
+        by_field = {
+            c.field: given[n] for n, c in self.columns.items() if n and not (c.question or c.video)
+        }
         found: dict[str, Any] = dict.fromkeys(_ONCE)
         for name in ("participant", "video"):
             if name not in by_field:
@@ -291,17 +293,17 @@ class _Reader:
         found["at"] = numbers["at"]
         shared: dict[str, Any] = {n: given[n] or None for n in self.further}
         shared |= {"participant": found["participant"], "at": numbers["at"]}
-        times = {c.video: n for n, c in self.columns.items() if c.field == "response_time"}
+        names = {column: name for name, column in self.columns.items()}
         rows = []
         for (video, question), one in answers.items():
             event = video or found["video"]
             confidence, time = numbers["confidence"], numbers["response_time"]
             with faults.noted(f"{question}: "):
-                own = _Column("confidence", question, "", video)
-                cell = next((given[n] for n, c in self.columns.items() if c == own), "")
-                confidence = _number("confidence", cell) if cell else confidence
-                if video and video in times:
-                    time = _number("response_time", given[times[video]], "seconds")
+                for of in ("", question):
+                    cell = given.get(names.get(_Column("confidence", of, "", video), ""), "")
+                    confidence = _number("confidence", cell) if cell else confidence
+                if cell := given.get(names.get(_Column("response_time", video=video), ""), ""):
+                    time = _number("response_time", cell, "seconds")
             of_answer = {"event": event, "question": question, "confidence": confidence}
             for label, rating in one.items():
                 of_label = {"answer": label, "rating": rating, "response_time": time}
