@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
-from phase_ppl.data.documents import Faults, Keep, checked_rows, read_rows
+from phase_ppl.data.documents import Faults, Keep, checked_rows, in_front, read_rows
 from phase_ppl.evaluation.prediction import checked_answer, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
 from phase_ppl.world.arrays import FloatArray
@@ -109,7 +109,8 @@ def read_answers(
     check_name("way of grading", graded, ("divide", "softmax"))
     reader = _Reader(world, videos, names or {}, {*na, *_NOT_AVAILABLE} - {""})
     if isinstance(source, pd.DataFrame):
-        rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
+        with in_front("the table"):
+            rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
     else:
         rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
     left_out = Counter(reader.left_out)
@@ -225,7 +226,7 @@ class _Reader:
         if ours is None:
             return _Column("")
         known = _known(self.world)
-        if _plain(ours) not in known:
+        if _plain(str(ours)) not in known:
             raise unknown_name(f"column in names, for {shown(name)},", ours, self._allowed())
         return known[_plain(ours)]
 
@@ -235,14 +236,14 @@ class _Reader:
         for suffix, column in sorted(_known(self.world).items(), key=lambda one: -len(one[0])):
             if column.field not in ("label", "rating", "confidence", "response_time"):
                 continue
-            before = plain.removesuffix(f"_{suffix}")
-            if before == plain:
+            if not plain.endswith(f"_{suffix}"):
                 continue
+            before = _plain(plain.removesuffix(suffix))
             if self.videos is not None:
                 video = next((one for one in self.videos if _plain(one) == before), None)
             else:
                 ends = (name[:end] for end in range(1, len(name)))
-                video = next(start for start in ends if _plain(start) == before)
+                video = next((start for start in ends if _plain(start) == before), None)
             if video is not None:
                 return column._replace(video=video)
         return None
@@ -370,7 +371,7 @@ class _Reader:
             return []
         try:
             said = msgspec.json.decode(cell, type=dict[str, Any])
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, RecursionError) as error:
             raise InvalidEventError(f"response is no JSON object: {error}") from None
         columns = [(name, self._column(name), value) for name, value in said.items()]
         return [
