@@ -14,7 +14,8 @@ for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.eval
                             a model that knew people's probabilities would be some 1 / n behind n
                             raters
 ``brier``                   mean over events, and over the people of each, of the squared distance
-                            of the model's probabilities from their answer, 0 to 2
+                            of the model's probabilities from their answer, 0 to 2; a graded
+                            answer is divided among the labels, each with its own distance
 ``ece``                     expected calibration error: mean distance of the model's probabilities
                             from the share of people, over ten bins of probability
 ``calibration``             for each non-empty bin: ``probability``, ``share``, ``n``
