@@ -10,7 +10,7 @@ import functools
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -27,6 +27,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     UnknownNameError,
     check_name,
+    instance_of,
     positive_number,
     shown,
     unknown_name,
@@ -52,6 +53,7 @@ _INDEX: Final = re.compile(r"|Unnamed: \d+")
 _MILLISECONDS: Final = 300.0
 """Median from which times are taken as milliseconds: five minutes for one answer, or a moment."""
 
+_MOST: Final = 1e15  # of ratings, seconds and milliseconds
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
 _PAIR: Final = ["participant", "event", "question", "at"]
@@ -107,6 +109,9 @@ def read_answers(
     """
     check_name("value of repeated", repeated, ("refuse", "first", "last"))
     check_name("way of grading", graded, ("divide", "softmax"))
+    instance_of("names", names or {}, Mapping, "a mapping from your names")
+    if isinstance(na, str) or not isinstance(na, Collection):
+        raise InvalidSettingError(f"na={shown(na)}, expected a list of texts")
     reader = _Reader(world, videos, names or {}, {*na, *_NOT_AVAILABLE} - {""})
     if isinstance(source, pd.DataFrame):
         with in_front("the table"):
@@ -149,7 +154,7 @@ def read_answers(
 
 def _cells(table: pd.DataFrame) -> list[tuple[int, list[str]]]:
     """Return the cells of a table as text; rows are numbered as the lines of its CSV file."""
-    named = [name for name in table.index.names if name is not None]
+    named = [name for name in table.index.names if name is not None and name not in table.columns]
     given = table.reset_index(named) if named else table
     text = given.astype(object).where(given.notna(), "").map(lambda cell: str(cell).strip())
     rows = [[str(name).strip() for name in given.columns], *text.to_numpy().tolist()]
@@ -249,7 +254,14 @@ class _Reader:
         return None
 
     def _kept(self, name: str) -> _Column:
-        """Return that a column is kept as it is (UnknownNameError: it looks misspelt)."""
+        """Return that a column is kept as it is (UnknownNameError: it looks misspelt).
+
+        InvalidEventError: its name is taken.
+        """
+        if name == "rating":  # which the tidy table has of its own
+            raise InvalidEventError(
+                "names the column rating: names={'rating': 'value'} reads it, None leaves it out"
+            )
         allowed, plain = self._allowed(), _plain(name)
         asks = plain.startswith(("goal_", "relation"))
         if not asks and not difflib.get_close_matches(plain, allowed, 1, _CLOSE):
@@ -388,7 +400,7 @@ def _number(name: str, cell: str, expected: str = "a number, such as 70") -> flo
     text = cell.removesuffix("%").rstrip()
     text = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
     number = float(text) if re.fullmatch(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", text) else np.inf
-    if not np.isfinite(number):
+    if number > _MOST:
         raise InvalidEventError(f"{name} is {shown(cell)}, expected {expected}")
     return number
 
@@ -415,9 +427,8 @@ def _graded(
     if temperature is None:
         temperature = _temperature(ratings)
     positive_number("temperature", temperature)
-    logs = ratings["rating"] / temperature
-    groups = logs.groupby([ratings[name] for name in _PAIR], dropna=False, sort=False)
-    masses = np.exp(logs - groups.transform("max"))
+    most = ratings.groupby(_PAIR, dropna=False, sort=False)["rating"].transform("max")
+    masses = np.exp((ratings["rating"] - most) / temperature)
     groups = masses.groupby([ratings[name] for name in _PAIR], dropna=False, sort=False)
     found[rated] = masses / groups.transform("sum")
     how = "fitted: ratings predict the others' leading answers best so" if fitted else "given"
