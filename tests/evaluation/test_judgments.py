@@ -475,6 +475,23 @@ def test_shares_that_are_none_are_refused(shares: dict[str, Any]) -> None:
         Judgments.of_responses({"p": {"relation": shares}})
 
 
+@pytest.mark.parametrize(
+    ("more", "options", "error", "message"),
+    [
+        ({}, {"na": "-99"}, InvalidSettingError, "na='-99', expected a list of texts"),
+        ({}, {"names": ["friendly"]}, InvalidSettingError, "names=.*, expected a mapping"),
+        ({"rating": 3}, {}, InvalidEventError, "line 1: names the column rating: names="),
+        ({"neutral": 1e308}, {}, InvalidEventError, "neutral is '1e.308', expected a number"),
+    ],
+)  # fmt: skip
+def test_options_and_columns_that_cannot_be_read_are_refused(
+    more: dict[str, Any], options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    row = dict(zip(SLIDERS.split(","), ["p1", "a", 70, 20, 10], strict=True))
+    with pytest.raises(error, match=message):
+        load_judgments(pd.DataFrame([{**row, **more}]), EVENTS, **options)
+
+
 def test_errors_about_a_data_frame_name_it() -> None:
     nested = pd.DataFrame([["p", "a", '{"relation":' + "[" * 100_000]],
                           columns=["participant", "video", "response"])  # fmt: skip

@@ -104,6 +104,13 @@ def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> N
         ppl.figures.over_time(evaluate(EVENTS, grows))
 
 
+@pytest.mark.parametrize("moments", [3, [1], {"at": 1}, [{"at": -1}], [{"relation": {}}]])
+def test_moments_of_predictions_that_are_none_are_refused(moments: Any) -> None:
+    record = {"event": "a", "probabilities": {}, "answers": {}, "moments": moments}
+    with pytest.raises(ppl.errors.PhasePPLError, match=r"moment|at="):
+        ppl.Prediction.from_dict(record)
+
+
 class Undecided:
     """Whoever looks through it finds all relations alike; posteriors are kept nevertheless."""
 
