@@ -53,6 +53,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     SimulationError,
     check_name,
+    instance_of,
     shown,
     whole_number,
 )
@@ -302,11 +303,15 @@ def calibrate(
         **options: for :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
 
     Raises:
-        SimulationError: the simulator fails, or no video can be an event; the message says why.
-        InvalidSettingError: a number out of range, or a simulator that draws no videos.
+        SimulationError: the simulator fails or draws no videos, or no video can be an event; the
+            message says why.
+        InvalidSettingError: ``model`` is none, a number is out of range, or there are no scenes.
 
     Further errors are those of :func:`phase_ppl.evaluate`.
     """
+    from phase_ppl.models.model import Model
+
+    instance_of("model", model, Model, "a phase_ppl.Model")
     whole_number("n", n)
     drawing = _Drawing(
         model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES), noise,
