@@ -137,7 +137,7 @@ class Estimate(float):
     """A float with its Monte-Carlo error, printed as 0.83 ± 0.04.
 
     Attributes:
-        error: standard error; NaN: unknown, printed as ``?``.
+        error: standard error; NaN: unknown, printed as 0.83 ± unknown.
     """
 
     error: float

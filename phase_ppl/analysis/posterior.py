@@ -241,7 +241,9 @@ class Posterior(EventPosterior):
 
     @property
     def log_evidence(self) -> estimate.Estimate:
-        """Log p(video), in nats, per unit^8 a frame, by the likelihood as it is, also if tempered.
+        """Log p(video), nats, by the likelihood as it is, also if tempered.
+
+        The density is per unit^d a frame, d = 8 in PHASE: x and y of each body.
 
         The kernels ``importance`` and ``amis`` estimate it, with an error by the jackknife over
         chains; and ``smc``, whose error is NaN: one population does not tell it, runs with other

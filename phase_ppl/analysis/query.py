@@ -26,10 +26,10 @@
 
 Text after the first word may stand in round or square brackets: ``P(relation=friendly)``,
 ``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". A ratio is of two
-numbers: ``P(relation=friendly) / P(relation=adversarial)``, or of E, sd or median. Two quantities
-are compared by name: ``P(strength_red > strength_green)`` or ``P(target_red = target_green)``. A
-comma reads "and" and binds the least: ``P(a=x or b=y, c=z)`` is the probability of (a=x or b=y) and
-c=z.
+numbers: ``P(relation=friendly) / P(relation=adversarial)``, or of E, sd or median; conditions on
+its left side need their brackets. Two quantities are compared by name: ``P(strength_red >
+strength_green)`` or ``P(target_red = target_green)``. A comma reads "and" and binds the least:
+``P(a=x or b=y, c=z)`` is the probability of (a=x or b=y) and c=z.
 
 Values are written without quotes, ``goal_red = Get blue item to red lm``, in any case and spacing.
 They need quotes, single or double, if they hold one of ``, | = < > ! ( ) [ ] { }``, a quote, or the

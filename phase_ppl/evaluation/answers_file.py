@@ -10,7 +10,7 @@ import functools
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
-from phase_ppl.data.documents import Faults, Keep, checked_rows, read_rows
+from phase_ppl.data.documents import Faults, Keep, checked_rows, in_front, read_rows
 from phase_ppl.evaluation.prediction import checked_answer, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
 from phase_ppl.world.arrays import FloatArray
@@ -27,6 +27,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     UnknownNameError,
     check_name,
+    instance_of,
     positive_number,
     shown,
     unknown_name,
@@ -52,6 +53,7 @@ _INDEX: Final = re.compile(r"|Unnamed: \d+")
 _MILLISECONDS: Final = 300.0
 """Median from which times are taken as milliseconds: five minutes for one answer, or a moment."""
 
+_MOST: Final = 1e15  # of ratings, seconds and milliseconds
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
 _PAIR: Final = ["participant", "event", "question", "at"]
@@ -107,9 +109,13 @@ def read_answers(
     """
     check_name("value of repeated", repeated, ("refuse", "first", "last"))
     check_name("way of grading", graded, ("divide", "softmax"))
+    instance_of("names", names or {}, Mapping, "a mapping from your names")
+    if isinstance(na, str) or not isinstance(na, Collection):
+        raise InvalidSettingError(f"na={shown(na)}, expected a list of texts")
     reader = _Reader(world, videos, names or {}, {*na, *_NOT_AVAILABLE} - {""})
     if isinstance(source, pd.DataFrame):
-        rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
+        with in_front("the table"):
+            rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
     else:
         rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
     left_out = Counter(reader.left_out)
@@ -120,6 +126,10 @@ def read_answers(
     cells = [[one.get(name) for name in columns] for row in rows for one in row["rows"]]
     table = pd.DataFrame(cells, columns=columns, dtype=object)
     table = table.astype(dict.fromkeys(["value", "at", "response_time", *extra], float))
+    rated = table["rating"].notna()
+    without = rated.groupby([table[n] for n in _PAIR], dropna=False).transform("any") & ~rated
+    left_out["of graded answers, without a number"] = int(without.sum())
+    table = table[~without].reset_index(drop=True)
     notes = []
     for name in ("response_time", "at"):
         median = table[name].median()
@@ -144,7 +154,7 @@ def read_answers(
 
 def _cells(table: pd.DataFrame) -> list[tuple[int, list[str]]]:
     """Return the cells of a table as text; rows are numbered as the lines of its CSV file."""
-    named = [name for name in table.index.names if name is not None]
+    named = [name for name in table.index.names if name is not None and name not in table.columns]
     given = table.reset_index(named) if named else table
     text = given.astype(object).where(given.notna(), "").map(lambda cell: str(cell).strip())
     rows = [[str(name).strip() for name in given.columns], *text.to_numpy().tolist()]
@@ -221,7 +231,7 @@ class _Reader:
         if ours is None:
             return _Column("")
         known = _known(self.world)
-        if _plain(ours) not in known:
+        if _plain(str(ours)) not in known:
             raise unknown_name(f"column in names, for {shown(name)},", ours, self._allowed())
         return known[_plain(ours)]
 
@@ -231,20 +241,27 @@ class _Reader:
         for suffix, column in sorted(_known(self.world).items(), key=lambda one: -len(one[0])):
             if column.field not in ("label", "rating", "confidence", "response_time"):
                 continue
-            before = plain.removesuffix(f"_{suffix}")
-            if before == plain:
+            if not plain.endswith(f"_{suffix}"):
                 continue
+            before = _plain(plain.removesuffix(suffix))
             if self.videos is not None:
                 video = next((one for one in self.videos if _plain(one) == before), None)
             else:
                 ends = (name[:end] for end in range(1, len(name)))
-                video = next(start for start in ends if _plain(start) == before)
+                video = next((start for start in ends if _plain(start) == before), None)
             if video is not None:
                 return column._replace(video=video)
         return None
 
     def _kept(self, name: str) -> _Column:
-        """Return that a column is kept as it is (UnknownNameError: it looks misspelt)."""
+        """Return that a column is kept as it is (UnknownNameError: it looks misspelt).
+
+        InvalidEventError: its name is taken.
+        """
+        if name == "rating":  # which the tidy table has of its own
+            raise InvalidEventError(
+                "names the column rating: names={'rating': 'value'} reads it, None leaves it out"
+            )
         allowed, plain = self._allowed(), _plain(name)
         asks = plain.startswith(("goal_", "relation"))
         if not asks and not difflib.get_close_matches(plain, allowed, 1, _CLOSE):
@@ -265,7 +282,9 @@ class _Reader:
         """Return what identifies a row, and its ``rows`` of the tidy table."""
         faults = Faults()
         given = {n: "" if cells[n] in self.na else cells[n] for n in self.columns if n}
-        by_field = {c.field: given[n] for n, c in self.columns.items() if n and not c.question}
+        by_field = {
+            c.field: given[n] for n, c in self.columns.items() if n and not (c.question or c.video)
+        }
         found: dict[str, Any] = dict.fromkeys(_ONCE)
         for name in ("participant", "video"):
             if name not in by_field:
@@ -287,17 +306,17 @@ class _Reader:
         found["at"] = numbers["at"]
         shared: dict[str, Any] = {n: given[n] or None for n in self.further}
         shared |= {"participant": found["participant"], "at": numbers["at"]}
-        times = {c.video: n for n, c in self.columns.items() if c.field == "response_time"}
+        names = {column: name for name, column in self.columns.items()}
         rows = []
         for (video, question), one in answers.items():
             event = video or found["video"]
             confidence, time = numbers["confidence"], numbers["response_time"]
             with faults.noted(f"{question}: "):
-                own = _Column("confidence", question, "", video)
-                cell = next((given[n] for n, c in self.columns.items() if c == own), "")
-                confidence = _number("confidence", cell) if cell else confidence
-                if video and video in times:
-                    time = _number("response_time", given[times[video]], "seconds")
+                for of in ("", question):
+                    cell = given.get(names.get(_Column("confidence", of, "", video), ""), "")
+                    confidence = _number("confidence", cell) if cell else confidence
+                if cell := given.get(names.get(_Column("response_time", video=video), ""), ""):
+                    time = _number("response_time", cell, "seconds")
             of_answer = {"event": event, "question": question, "confidence": confidence}
             for label, rating in one.items():
                 of_label = {"answer": label, "rating": rating, "response_time": time}
@@ -364,7 +383,7 @@ class _Reader:
             return []
         try:
             said = msgspec.json.decode(cell, type=dict[str, Any])
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, RecursionError) as error:
             raise InvalidEventError(f"response is no JSON object: {error}") from None
         columns = [(name, self._column(name), value) for name, value in said.items()]
         return [
@@ -381,7 +400,7 @@ def _number(name: str, cell: str, expected: str = "a number, such as 70") -> flo
     text = cell.removesuffix("%").rstrip()
     text = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
     number = float(text) if re.fullmatch(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", text) else np.inf
-    if not np.isfinite(number):
+    if number > _MOST:
         raise InvalidEventError(f"{name} is {shown(cell)}, expected {expected}")
     return number
 
@@ -408,9 +427,8 @@ def _graded(
     if temperature is None:
         temperature = _temperature(ratings)
     positive_number("temperature", temperature)
-    logs = ratings["rating"] / temperature
-    groups = logs.groupby([ratings[name] for name in _PAIR], dropna=False, sort=False)
-    masses = np.exp(logs - groups.transform("max"))
+    most = ratings.groupby(_PAIR, dropna=False, sort=False)["rating"].transform("max")
+    masses = np.exp((ratings["rating"] - most) / temperature)
     groups = masses.groupby([ratings[name] for name in _PAIR], dropna=False, sort=False)
     found[rated] = masses / groups.transform("sum")
     how = "fitted: ratings predict the others' leading answers best so" if fitted else "given"

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binom, kstest, ttest_1samp
+from scipy.stats import binom, kstest
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
@@ -53,6 +53,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     SimulationError,
     check_name,
+    instance_of,
     shown,
     whole_number,
 )
@@ -85,6 +86,8 @@ DOUBTFUL: Final = 0.01
 
 _ID: Final = "draw-"  # of events, before their number
 _TRIES: Final = 200  # draws of a hypothesis and a video, until the video can be an event
+_DRAWN: Final = 10_000  # sets of truths, against which scores are tested
+_ROUNDING: Final = 1e-9  # of sums of scores, nats
 _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
@@ -118,8 +121,8 @@ class Calibration(Printed):
         answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``;
         ``ece``, the expected calibration error over the bins of :meth:`reliability`, and
         ``ece_chance``, its mean if the model were calibrated; mean ``log_score`` and what was
-        ``expected``, nats, and ``p_score`` that both are the same (Student's t). Last ``verdict``,
-        in words.
+        ``expected``, nats, and ``p_score`` that they differ so by chance: 10 000 times truths are
+        drawn from what was said, for scores too low with the lapse. Last ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
@@ -238,7 +241,10 @@ class Calibration(Printed):
             right, top = part["right"].to_numpy(), part["top"].to_numpy()
             low, high = clopper_pearson(float(right.sum()), n)
             gain = (part["log_score"] - part["expected"]).to_numpy()
-            p_score = ttest_1samp(gain, 0.0).pvalue if n > 1 and gain.std() > 0 else np.nan
+            said = [
+                self.evaluation.predictions[event].probabilities[name] for event in part["event"]
+            ]
+            p_score = _p_score(np.array(said), float(gain.sum()))
             values = right.mean(), low, high, top.mean(), *_ece(top, right)
             scores = part["log_score"].mean(), part["expected"].mean(), p_score
             found |= dict(zip((*of_answers, "p_score"), (*values, *scores), strict=True))
@@ -297,11 +303,15 @@ def calibrate(
         **options: for :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
 
     Raises:
-        SimulationError: the simulator fails, or no video can be an event; the message says why.
-        InvalidSettingError: a number out of range, or a simulator that draws no videos.
+        SimulationError: the simulator fails or draws no videos, or no video can be an event; the
+            message says why.
+        InvalidSettingError: ``model`` is none, a number is out of range, or there are no scenes.
 
     Further errors are those of :func:`phase_ppl.evaluate`.
     """
+    from phase_ppl.models.model import Model
+
+    instance_of("model", model, Model, "a phase_ppl.Model")
     whole_number("n", n)
     drawing = _Drawing(
         model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES), noise,
@@ -521,7 +531,7 @@ def _ranked(
         of_answers = {
             "truth": p[true],
             "top": p.max(),
-            "right": float(prediction.answers[question] == truth[question]),
+            "right": float(p.argmax() == true),
             "log_score": logs[true],
             "expected": float((p * logs).sum()),
         }
@@ -568,6 +578,23 @@ def _ece(top: FloatArray, right: FloatArray) -> tuple[float, float]:
     off = np.vstack([right[order], by_chance]) - top[order]
     found = np.abs(np.add.reduceat(off, starts, axis=1)).sum(axis=1) / len(top)
     return float(found[0]), float(found[1:].mean())
+
+
+def _p_score(p: FloatArray, gain: float) -> float:
+    """Return how probable so large a sum of log scores beyond expectation is, were p right.
+
+    ``p`` are (video, label). It is exact also where most answers are nearly certain, as scores then
+    are far from normal. Against too sure a model the lapse counts: without it a single answer of
+    probability 0, as samplers often give, would decide.
+    """
+    rng, logs = np.random.default_rng(0), log_probabilities(p)
+    drawn = np.zeros((2, _DRAWN))
+    for one, of in zip(p, logs, strict=True):
+        for place, chances in enumerate((one, np.exp(of))):
+            true = rng.choice(len(one), _DRAWN, p=chances / chances.sum())
+            drawn[place] += of[true] - one @ of
+    tails = (drawn[0] >= gain - _ROUNDING).sum(), (drawn[1] <= gain + _ROUNDING).sum()
+    return min(1.0, 2 * (int(min(tails)) + 1) / (_DRAWN + 1))
 
 
 def _draw_ranks(axes: Axes, quantity: str, place: FloatArray) -> None:

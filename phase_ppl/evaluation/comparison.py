@@ -192,10 +192,11 @@ class ModelComparison(Printed):
         """
         rows, kinds = [], set()
         for one in self.entries:
-            kept = None if one.folder is None else Evaluation.load(one.folder)
-            for event_id in () if kept is None else one.predictions:
-                post = kept.posterior(event_id) if kept is not None else None
-                if post is not None:
+            if one.folder is None:
+                continue
+            kept = Evaluation.load(one.folder)
+            for event_id in one.predictions:
+                if (post := kept.posterior(event_id)) is not None:
                     kinds.add(type(post).__name__)
                     evidence = post.log_evidence
                     rows.append((event_id, one.name, float(evidence), evidence.error))

@@ -14,7 +14,8 @@ for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.eval
                             a model that knew people's probabilities would be some 1 / n behind n
                             raters
 ``brier``                   mean over events, and over the people of each, of the squared distance
-                            of the model's probabilities from their answer, 0 to 2
+                            of the model's probabilities from their answer, 0 to 2; a graded
+                            answer is divided among the labels, each with its own distance
 ``ece``                     expected calibration error: mean distance of the model's probabilities
                             from the share of people, over ten bins of probability
 ``calibration``             for each non-empty bin: ``probability``, ``share``, ``n``
@@ -95,7 +96,7 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
         "relation_r_given_truth": r(same_truth(truth)),
         "log_score_gap": measure(weighted_mean(weights, gap), len(p)),
         "brier": measure(weighted_mean(weights, brier), len(p)),
-        "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
+        "ece": ece(bins),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples, rows),
         "agreement": agreement(p, counts, rng, resamples, rows),
@@ -189,6 +190,12 @@ def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:
     groups = pairs.groupby(np.minimum((p.ravel() * BINS).astype(np.int64), BINS - 1))
     means = groups.agg(lambda values: values.to_numpy().mean())
     return means.assign(n=groups.size()).to_dict("records")
+
+
+def ece(bins: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the expected calibration error over the bins of :func:`calibration`; None: no bin."""
+    off = sum(one["n"] * abs(one["probability"] - one["share"]) for one in bins)
+    return float(off / sum(one["n"] for one in bins)) if bins else None
 
 
 def ceiling(
@@ -368,14 +375,11 @@ def split_half(
 
 
 def split_half_of(
-    answers: Answers, kind: str, weights: FloatArray, seed: int, at: float | None = None
+    answers: Answers, kind: str, weights: FloatArray, seed: int
 ) -> tuple[FloatArray, int]:
-    """Return :func:`split_half` of people's answers to a kind of questions.
-
-    ``at`` is the moment that the answers are about, if not the whole film.
-    """
+    """Return :func:`split_half` of people's answers to a kind of questions."""
     votes = answers.array(kind, "votes")
-    given, rows = responses_of(answers.events, at), None
+    given, rows = responses_of(answers.events), None
     if not votes.any():
         return np.full(len(weights), np.nan), 0
     if given is not None:

@@ -182,10 +182,14 @@ def evaluate(
 
         for event in chosen:
             if event.id in done and not set(moments_of(event)) <= set(done[event.id].moments):
-                again = folder.with_moments(event) if folder is not None else None
-                done |= {} if again is None else {event.id: again}
+                # an observer's answers are not those of the posterior, which is kept beside them
+                again = None
+                if folder is not None and observer is None:
+                    again = folder.with_moments(event)
                 if again is None:
                     del done[event.id]
+                else:
+                    done[event.id] = again
         left = sorted(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,

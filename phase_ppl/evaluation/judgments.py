@@ -39,7 +39,7 @@ import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import msgspec
 import pandas as pd
@@ -52,7 +52,7 @@ from phase_ppl.evaluation.answers_file import COLUMNS, Graded, Source, read_answ
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, reference_predictions
-from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.ratings import Given, Judgments, Rows
 from phase_ppl.evaluation.table import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -94,17 +94,20 @@ class Study:
         """Video -> judgments of the participants who answered a question about it."""
         found = {}
         for event, rows in self.table.groupby("event", sort=False):
-            said: dict[float | None, dict[str, dict[str, Any]]] = {None: {}}
+            said: dict[float | None, dict[str, dict[str, dict[str, float]]]] = {None: {}}
             of_event = rows[["at", "participant", "question", "answer", "value"]]
             for at, who, question, answer, value in of_event.itertuples(index=False):
                 of_moment = said.setdefault(None if math.isnan(at) else at, {})
-                row = of_moment.setdefault(who, {})
-                if value == 1:
-                    row[question] = answer
-                elif value > 0:
-                    row.setdefault(question, {})[answer] = value
-            whole = said.pop(None)
-            found[event] = Judgments.of_responses(whole, self.world, cast("Any", said))
+                if value > 0:
+                    of_moment.setdefault(who, {}).setdefault(question, {})[answer] = value
+            given: dict[Any, Rows] = {
+                at: {
+                    who: {question: _label_or_shares(one) for question, one in row.items()}
+                    for who, row in of_moment.items()
+                }
+                for at, of_moment in said.items()
+            }
+            found[event] = Judgments.of_responses(given.pop(None), self.world, given)
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
     def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:
@@ -126,6 +129,11 @@ class Study:
 
     def __repr__(self) -> str:
         return f"<Study: {summed_up(self.table, self.world)}>"
+
+
+def _label_or_shares(shares: Mapping[str, float]) -> Given:
+    """Return an answer as a label if it has the whole share, alone."""
+    return next(iter(shares)) if [*shares.values()] == [1] else shares
 
 
 def load_judgments(

@@ -39,6 +39,7 @@ from phase_ppl.evaluation.bootstrap import (
 )
 from phase_ppl.evaluation.doubt import (
     calibration,
+    ece,
     jensen_shannon,
     log_score,
     negative_entropy,
@@ -63,11 +64,12 @@ def moments(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str,
             {
                 "at": at,
                 "n_events": len(of.events),
-                "n": round(float(answers.rows.loc[answers.rows["at"] == at, "votes"].sum())),
+                "n": round(float(rows["votes"].sum())),
                 **_agreement(of, [at], seed, resamples),
             }
             for at in answers.moments
-            for of in [answers.about(set(answers.at(at).rows["event"]))]
+            for rows in [answers.rows[answers.rows["at"] == at]]
+            for of in [answers.about(set(rows["event"]))]
         ],
     }
 
@@ -94,8 +96,7 @@ def _agreement(answers: Answers, at: Sequence[float], seed: int, resamples: int)
         found[f"{prefix}split_half_r"] = measure(*halves)
         known = ~np.isnan(p * people)
         bins[kind] = calibration(p[known], people[known])
-        off = sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins[kind])
-        found[f"{prefix}ece"] = float(off / known.sum()) if known.any() else None
+        found[f"{prefix}ece"] = ece(bins[kind])
     return {**found, "calibration": bins}
 
 

@@ -286,6 +286,8 @@ class Prediction(Printed):
         of_kind("event of a prediction", given.get("event"), str)
         for name in ("probabilities", "errors", "answers", "cost", "sure"):
             of_kind(f"{name} of a prediction", given.get(name), dict)
+        listed = of_kind("moments of a prediction", given.get("moments") or [], list)
+        moments = [dict(of_kind("a moment of a prediction", one, dict)) for one in listed]
         return cls(
             event_id=record["event"],
             probabilities={
@@ -306,9 +308,9 @@ class Prediction(Printed):
                     question: probabilities_of(question, shares, world)
                     for question, shares in one.items()
                 }
-                for one in map(dict, given.get("moments") or ())
+                for one in moments
             },
-            hindsight=given.get("hindsight") or "",
+            hindsight=of_kind("hindsight of a prediction", given.get("hindsight") or "", str),
         )
 
     def __str__(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final, TypeAlias, cast
@@ -127,7 +128,8 @@ class Judgments:
 
         Raises:
             UnknownNameError: there is no such question or answer.
-            InvalidEventError: the shares of a graded answer do not sum to 1.
+            InvalidEventError: the shares of a graded answer are no numbers from 0 to 1, or do not
+                sum to 1.
         """
         given = {
             who: {question: _checked(question, one, world) for question, one in row.items()}
@@ -253,6 +255,11 @@ def _checked(question: str, answer: Given, world: World) -> Given:
     if not isinstance(answer, Mapping):
         raise InvalidEventError(f"{question} is {shown(answer)}, expected an answer or its shares")
     shares = {checked_answer(question, label, world): p for label, p in answer.items() if p}
+    for label, p in shares.items():
+        if not isinstance(p, numbers.Real) or not 0 <= p <= 1:
+            raise InvalidEventError(
+                f"{question} has the share {shown(p)} of {label}, expected 0 to 1"
+            )
     if abs(math.fsum(shares.values()) - 1) > _SUM_TOLERANCE:
         total = math.fsum(shares.values())
         raise InvalidEventError(f"{question} has shares of sum {total:.4g}, expected 1")
@@ -269,7 +276,7 @@ def _by_participant(
             who, at = entry.get("participant") or "", entry.get("at")
             if not (isinstance(who, str) and who.strip()):
                 raise InvalidEventError(f" has the participant {shown(who)}")
-            if not isinstance(at, float | int | None):
+            if not (at is None or (isinstance(at, float | int) and math.isfinite(at))):
                 raise InvalidEventError(f" has the moment {shown(at)}, expected seconds")
         of_moment = rows.setdefault(None if at is None else float(at), {})
         if who in of_moment:

@@ -166,12 +166,6 @@ class Answers:
         """Seconds of the film at which people judged some event, in order."""
         return tuple(sorted(self.rows["at"].dropna().unique().tolist()))
 
-    def at(self, moment: float) -> Answers:
-        """Return it about a moment of the film, of the events that people judged then."""
-        rows = self.rows[self.rows["at"] == moment].assign(at=np.nan)
-        ids = set(rows["event"])
-        return Answers([e for e in self.events if e.id in ids], rows, self.world)
-
     def about(self, ids: Collection[str]) -> Answers:
         """Return it about some of the events only."""
         kept = [event for event in self.events if event.id in ids]

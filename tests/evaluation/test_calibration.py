@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.evaluation.calibration import DOUBTFUL, _p_score
+from phase_ppl.evaluation.doubt import log_probabilities
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError
 from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Hypothesis
@@ -124,6 +126,20 @@ def test_a_wrong_noise_is_found(
     assert sign * right_minus_sure["goal_red"] > 0.03
     assert summary.loc["goal_red", "p_even"] < 0.05
     assert summary.loc["goal_red", "ece"] > exact.summary.loc["goal_red", "ece"]
+
+
+@pytest.mark.parametrize(
+    ("p", "wrong", "plausible"),
+    [(0.99, 0, True), (0.99, 8, False), (1.0, 1, True), (1.0, 8, False), (0.8, 0, False)],
+)
+def test_scores_of_nearly_certain_answers_are_tested_too(
+    p: float, wrong: int, plausible: bool
+) -> None:
+    """100 of 100 answers of probability 0.99 are right in every third study of calibration."""
+    said = np.tile([p, 1 - p, 0.0], (100, 1))
+    logs, right = log_probabilities(said), np.arange(100) >= wrong
+    gain = np.where(right, logs[:, 0], logs[:, 1]) - (said * logs).sum(axis=1)
+    assert (_p_score(said, float(gain.sum())) > DOUBTFUL) is plausible
 
 
 def test_it_is_kept_and_continued(tmp_path: Path) -> None:

@@ -437,6 +437,70 @@ def test_accuracy_is_of_each_participant_then_averaged(tmp_path: Path) -> None:
     assert found["goal_accuracy"]["ci_high"] == pytest.approx(1)
 
 
+def test_shares_beside_one_that_rounds_to_1_are_read() -> None:
+    table = pd.DataFrame([["p1", "a", 100, 0, 20]], columns=SLIDERS.split(","))
+    found = load_judgments(table, EVENTS, graded="softmax", temperature=1)
+    shares = found.judgments["a"].responses["p1"]["relation"]
+    assert shares == pytest.approx({"friendly": 1, "adversarial": math.exp(-80), "neutral": 0})
+
+
+def test_a_label_without_a_number_beside_ratings_is_no_choice() -> None:
+    rows = [
+        ["p1", "a", "relation", "friendly", 60],
+        ["p1", "a", "relation", "neutral", 20],
+        ["p1", "a", "relation", "adversarial", None],
+        ["p2", "a", "relation", "neutral", None],
+    ]
+    columns = ["participant", "video", "question", "answer", "value"]
+    study = load_judgments(pd.DataFrame(rows, columns=columns), EVENTS)
+    assert study.judgments["a"].counts["relation"] == pytest.approx([0.75, 1.25, 0])
+    assert "1 of graded answers, without a number" in study.summary
+
+
+def test_columns_of_one_video_are_about_it_alone() -> None:
+    row = {"participant": "p", "a_relation": "friendly", "b__relation": "neutral"}
+    row |= {"a_confidence": 10, "b_confidence": 90, "b_rt": 7}
+    for events in (EVENTS, None):
+        table = load_judgments(pd.DataFrame([row]), events).table.set_index("event")
+        assert table["confidence"].to_dict() == {"a": 10, "b": 90}
+        assert table["response_time"].tolist() == pytest.approx([math.nan, 7], nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    "shares",
+    [{"friendly": math.nan, "neutral": 1}, {"friendly": 1.5, "neutral": -0.5}, {"friendly": "1"}],
+)
+def test_shares_that_are_none_are_refused(shares: dict[str, Any]) -> None:
+    with pytest.raises(InvalidEventError, match=r"relation has the share .* of friendly"):
+        Judgments.of_responses({"p": {"relation": shares}})
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "error", "message"),
+    [
+        ({}, {"na": "-99"}, InvalidSettingError, "na='-99', expected a list of texts"),
+        ({}, {"names": ["friendly"]}, InvalidSettingError, "names=.*, expected a mapping"),
+        ({"rating": 3}, {}, InvalidEventError, "line 1: names the column rating: names="),
+        ({"neutral": 1e308}, {}, InvalidEventError, "neutral is '1e.308', expected a number"),
+    ],
+)  # fmt: skip
+def test_options_and_columns_that_cannot_be_read_are_refused(
+    more: dict[str, Any], options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    row = dict(zip(SLIDERS.split(","), ["p1", "a", 70, 20, 10], strict=True))
+    with pytest.raises(error, match=message):
+        load_judgments(pd.DataFrame([{**row, **more}]), EVENTS, **options)
+
+
+def test_errors_about_a_data_frame_name_it() -> None:
+    nested = pd.DataFrame([["p", "a", '{"relation":' + "[" * 100_000]],
+                          columns=["participant", "video", "response"])  # fmt: skip
+    with pytest.raises(InvalidEventError, match=r"^the table, line 2: response is no JSON object"):
+        load_judgments(nested, EVENTS)
+    with pytest.raises(UnknownNameError, match=r"^the table, line 1: unknown column in names"):
+        load_judgments(nested, EVENTS, names={"video": 3})  # type: ignore[dict-item]
+
+
 PAGE = Path(__file__).parents[2] / "docs" / "judgments.md"
 
 
