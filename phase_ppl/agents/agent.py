@@ -176,10 +176,6 @@ class Policies(Perception):
         """
         self._step += 1
         super().observe(bodies, held, weld)
-        if wanted is not None and not wanted.any():
-            self.intents = []
-            self.intent_of[:] = NO_INTENT
-            return
         self._describe()
         self._planner = subgoal_planners(self.agent, self.model.abilities)
         found: dict[Intent, int] = {}
@@ -289,19 +285,15 @@ class Policies(Perception):
             groups[intent.agreeing, self._considered(intent).tobytes()].append(place)
         return list(groups.values())
 
-    def root_statistics(
-        self, intents: Sequence[Intent], simulations: Sequence[int] | None = None
-    ) -> list[RootStatistics]:
+    def root_statistics(self, intents: Sequence[Intent]) -> list[RootStatistics]:
         """Return the planner's results for intents; this is the only random part of a decision.
 
         Args:
             intents: one, or a group of :meth:`searches`. The results are as for each alone.
-            simulations: for each, at most those of the settings; None: those.
         """
         actions = self._considered(intents[0])
         if len(actions) > 1:
-            counts = simulations or [self.config.simulations] * len(intents)
-            return self._search_actions(intents, actions, counts)
+            return self._search_actions(intents, actions)
         once = np.ones(1, np.int64)
         reflex = RootStatistics(actions, once, np.full(1, np.nan), Action(int(actions[0])))
         return [reflex for _ in intents]
@@ -325,20 +317,17 @@ class Policies(Perception):
             subgoal, self.agent, int(held[self.agent]), intent.contested, self._counts[1]
         )
 
-    def _search_actions(
-        self, intents: Sequence[Intent], actions: IntArray, simulations: Sequence[int]
-    ) -> list[RootStatistics]:
+    def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
         """Search for the best of ``actions``, on the particles that agree with each subgoal."""
         beliefs, model, found = self.beliefs, self.model, []
         playouts = pomcp.make_playouts(self._search, len(intents), *self._counts)
         scratch = compiled.make_scratch(*self._counts)
         agreeing = np.array(intents[0].agreeing)
-        for intent, n in zip(intents, simulations, strict=True):
-            tree = pomcp.make_tree(n, *self._counts)
-            search = self._search._replace(simulations=n)
+        for intent in intents:
+            tree = pomcp.make_tree(self.config.simulations, *self._counts)
             best = pomcp.run(
                 *(tree, playouts, beliefs.bodies, beliefs.held, beliefs.weld, agreeing),
-                *(self.agent, pomcp.subgoal_code(intent.subgoal), actions, search),
+                *(self.agent, pomcp.subgoal_code(intent.subgoal), actions, self._search),
                 *(model.params, model.layout, scratch, self._rng(intent)),
             )
             children = tree.child[0, : len(actions)]

@@ -277,8 +277,7 @@ class StepwisePosterior(EventPosterior):
         likelihood. Only evidence for strengths stays tempered (``Tracking.strength_weight``). Of
         two priors, or two models with the same tracking, the one with the higher log evidence
         explains the video better. If they differ in strengths, the true difference is larger.
-        Its error is by the jackknife over sets of searches; NaN: there is one. Frames for which the
-        first set alone has searched, as goals were decided, add nothing to it.
+        Its error is by the jackknife over sets of searches; NaN: there is one.
         """
         return self._table.log_evidence(self._frame)
 

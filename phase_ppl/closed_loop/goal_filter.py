@@ -68,23 +68,6 @@ class Conduct(NamedTuple):
         return found
 
 
-PROBABLE: Final = 0.9
-"""Mass of the most probable combinations of goals, for which all sets search."""
-
-DECIDED: Final = 0.95
-"""Mass of one combination of goals from which on the first set searches alone."""
-
-SIMULATED_ELSEWHERE: Final = 0.5
-"""Share of a search's simulations in the first set's searches for what is improbable."""
-
-
-class Open(NamedTuple):
-    """What is still open before a frame."""
-
-    probable: list[BoolArray]  # (agent) (standpoint,) those of probable combinations of goals
-    by_all: bool  # whether all sets search for them; else the first alone
-
-
 class SearchSets:
     """What every agent would do given the frames so far, found ``n`` times independently.
 
@@ -130,15 +113,13 @@ class SearchSets:
         """Return the function's results, in order, from the threads if there are any."""
         return map(function, tasks) if self._pool is None else self._pool.map(function, tasks)
 
-    def plans(self, open_to: Open | None = None) -> list[list[Plans]]:
+    def plans(self, wanted: Sequence[BoolArray] | None = None) -> list[list[Plans]]:
         """Return (set, agent) what the planners make of what was seen so far.
 
         Args:
-            open_to: what all sets search for; for the rest there is the first set alone, with
-                fewer simulations. None: all sets search for all.
+            wanted: (agent) (standpoint,) those for which all sets search; for the rest there is
+                the first set alone. None: all sets search for all.
         """
-        usual = self._planner.simulations
-        fewer = max(1, round(usual * SIMULATED_ELSEWHERE))
 
         def observe(task: tuple[Policies, Expected, BoolArray | None]) -> None:
             policies, expected, asked = task
@@ -146,24 +127,15 @@ class SearchSets:
 
         def search(task: tuple[Policies, list[int]]) -> list[RootStatistics]:
             policies, group = task
-            full = in_full.get(policies)
-            counts = [usual if full is None or place in full else fewer for place in group]
-            return policies.root_statistics([policies.intents[place] for place in group], counts)
+            return policies.root_statistics([policies.intents[place] for place in group])
 
         observing = []
         for place, expected in enumerate(self.hidden.spread(len(self._policies))):
             for agent, policies in enumerate(self._policies[place]):
                 policies.model = self._model(expected.strengths)
-                asked = None
-                if open_to is not None and place > 0:
-                    probable = open_to.probable[agent]
-                    asked = probable if open_to.by_all else np.zeros_like(probable)
+                asked = None if wanted is None or place == 0 else wanted[agent]
                 observing.append((policies, expected, asked))
         list(self.map(observe, observing))
-        in_full: dict[Policies, set[int]] = {}
-        if open_to is not None and len(self) > 1:
-            for policies, probable in zip(self._policies[0], open_to.probable, strict=True):
-                in_full[policies] = set(policies.intent_of[probable].tolist())
         searches = [(one, group) for one, _, _ in observing for group in one.searches()]
         found = {
             (one, place): root
@@ -187,6 +159,10 @@ class SearchSets:
             self._models[strengths] = WorldModel.of(self.scene, strengths, self._planner)
         return self._models[strengths]
 
+
+SEARCHED_BY_ALL: Final = 0.99
+"""Mass of the most probable combinations of goals, for which all sets of searches are made; for the
+rest there is the first set alone."""
 
 _All = Sequence[Sequence[Plans]]  # (set, agent)
 
@@ -315,7 +291,7 @@ class GoalFilter:
     def read(self, frame: FloatArray) -> Reading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen."""
         hidden = self._sets.hidden
-        plans = self._sets.plans(self._open())
+        plans = self._sets.plans(self._choose_wanted())
         policies, policy_of = policies_of(plans, self._conduct)
         unseen = np.isnan(frame[: len(self._points)]).any(axis=1)
         expected = self._expected(policies, policy_of) if unseen.any() else None
@@ -351,18 +327,21 @@ class GoalFilter:
             sum(searched),
         )
 
-    def _open(self) -> Open | None:
-        """Return what is still open; None: it is not followed, or there is one set of searches."""
+    def _choose_wanted(self) -> list[BoolArray] | None:
+        """Choose (agent) (standpoint,) those for which all sets search; None: all.
+
+        They are those of the combinations of goals that together have nearly all of the mass.
+        """
         if not self._is_followed or len(self._sets) == 1:
             return None
         mass = np.exp(self._log_mass - self._log_mass.max())
         order = np.argsort(-mass, kind="stable")
         before = np.cumsum(mass[order]) - mass[order]
-        probable = order[before < PROBABLE * mass.sum()]
-        found = [np.zeros(points.n, bool) for points in self._points]
-        for one, of_rows in zip(found, self._of_rows, strict=True):
-            one[of_rows[probable]] = True
-        return Open(found, bool(mass.max() < DECIDED * mass.sum()))
+        probable = order[before < SEARCHED_BY_ALL * mass.sum()]
+        wanted = [np.zeros(points.n, bool) for points in self._points]
+        for found, of_rows in zip(wanted, self._of_rows, strict=True):
+            found[of_rows[probable]] = True
+        return wanted
 
     def _follow(
         self, log_density: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]

@@ -67,9 +67,7 @@ class StepwiseLikelihood:
             simulator of one's own.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
             with errors unknown. All sets search for the combinations of goals that together have
-            0.9 of the mass, until one has 0.95. Else the first set alone searches, for what is
-            improbable with half of the simulations. With more than 50 000 hypotheses all sets
-            search for all, and a single set always makes all simulations.
+            0.99 of the mass, or for all where there are more than 50 000 hypotheses.
         tracking: how hidden velocities, holds and strengths are followed.
         samples: next frames of a simulator of one's own, for each hypothesis and frame.
 

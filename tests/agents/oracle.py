@@ -128,9 +128,7 @@ class OracleAgent(Agent):
             model, strengths, SearchSettings.of(config), config.inner_steps, generator.spawn(1)[0]
         )
 
-    def _search_actions(
-        self, intents: Sequence[Intent], actions: IntArray, simulations: Sequence[int]
-    ) -> list[RootStatistics]:
+    def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
         beliefs, (intent,) = self.beliefs, intents
         particles = [
             compiled.to_state(
