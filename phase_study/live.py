@@ -106,7 +106,9 @@ class Live:
         self._tasks: set[asyncio.Task[Any]] = set()
         self._playing: asyncio.Task[None] | None = None
         self._reached = False
-        self._making: dict[int, Path] = {}
+        self._making: dict[int, Path] = {}  # films that are not complete
+        self._films: dict[int, Path] = {}
+        self._unread = ""  # why this game is read no further
         self._is_awake = False
 
     # --- its beginning and end --------------------------------------------------------------------
@@ -157,23 +159,20 @@ class Live:
         return app
 
     def _open(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._pipe, self._process = reader.started()
         # a full pipe keeps this thread waiting, not the game
         self._sender = ThreadPoolExecutor(1, "to the reader")
-        loop.add_reader(self._pipe.fileno(), self._hear)
+        self._start_reader()
         self._tell("warm up", self._drawn())
         self._begin(self._wishes)
 
     async def _close(self) -> None:
-        asyncio.get_running_loop().remove_reader(self._pipe.fileno())
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._process.terminate()
+        if not self._has_ended:
+            self._end_reader()
         self._sender.shutdown(cancel_futures=True)
         self._pipe.close()
-        self._process.join()
 
     def _later(self, doing: Any) -> asyncio.Task[Any]:
         task = asyncio.create_task(doing)
@@ -252,6 +251,9 @@ class Live:
         if self._playing is not None:
             self._playing.cancel()
         self.room, self._game, self._reached = room, next(self._numbers), False
+        self._unread = ""
+        if self._has_ended:
+            self._start_reader()
         room.going.clear()
         for seat in self.seats:
             seat.controls.release()
@@ -329,6 +331,8 @@ class Live:
                 {"t": "read", "frame": number, "poses": poses.round(3).tolist()}
                 for number, poses in enumerate(room.frames)
             ]
+            if self._unread:
+                told.append({"t": "unread", "text": self._unread})
         return [*told, room.shown(agent), {"t": "going" if room.going.is_set() else "waiting"}]
 
     def _words(self, agent: int, goal: str) -> str:
@@ -416,8 +420,24 @@ class Live:
 
     # --- the reader -------------------------------------------------------------------------------
 
+    def _start_reader(self) -> None:
+        self._pipe, self._process = reader.started()
+        self._has_ended = False
+        asyncio.get_running_loop().add_reader(self._pipe.fileno(), self._hear)
+
+    def _end_reader(self) -> None:
+        self._has_ended = True
+        asyncio.get_running_loop().remove_reader(self._pipe.fileno())
+        self._process.terminate()
+        self._process.join()
+
     def _tell(self, *message: Any) -> None:
         self._sender.submit(self._pipe.send, message)
+
+    def _cannot_read(self, why: str) -> None:
+        """Say so, now and to a page that comes later; the game goes on."""
+        self._unread = why
+        self.seats[0].tell({"t": "unread", "text": why})
 
     def _hear(self) -> None:
         """Hand on what the reader says."""
@@ -425,8 +445,11 @@ class Live:
             while self._pipe.poll():
                 self._heard(self._pipe.recv())
         except (EOFError, OSError):
-            asyncio.get_running_loop().remove_reader(self._pipe.fileno())
-            self.seats[0].tell({"t": "unread", "text": "the reader has ended; start anew"})
+            self._end_reader()
+            why = "its process has ended; start over"
+            for number in [*self._making]:
+                self._heard(("failed", number, why))
+            self._cannot_read(why)
 
     def _heard(self, message: tuple[Any, ...]) -> None:
         page = self.seats[0]
@@ -437,13 +460,17 @@ class Live:
             case ("reading", game, found) if game == self._game:
                 page.tell({"t": "reading", **found})
             case ("broken", game, text) if game == self._game:
-                page.tell({"t": "unread", "text": text})
+                self._cannot_read(text)
             case ("made" | "failed" as how, number, text):
-                if how == "failed":
-                    self._making.pop(number)
+                path = self._making.pop(number)
+                if how == "made":
+                    self._films[number] = path
                 page.tell({"t": how, "number": number, "text": text})
 
     def _make(self, what: str, given: Mapping[str, Any]) -> None:
+        if self._unread:
+            self.seats[0].tell({"t": "refused", "text": f"the model cannot read: {self._unread}"})
+            return
         number = next(self._numbers)
         self._making[number] = path = self._folder / f"{number}.mp4"
         self._tell("make", number, what, {"path": path, **given})
@@ -470,8 +497,8 @@ class Live:
         return ppl.Event(self.room.scene, ppl.Observation(frames), id="live", truth=truth)
 
     async def _film(self, request: Request) -> Response:
-        path = self._making.get(request.path_params["number"])
-        if path is None or not path.is_file():
+        path = self._films.get(request.path_params["number"])
+        if path is None:
             raise HTTPException(404, "there is no such film")
         return FileResponse(path, media_type="video/mp4", filename="live.mp4",
                             content_disposition_type="inline")  # fmt: skip

@@ -182,6 +182,8 @@ def serve(pipe: Connection) -> None:
                             watch.update(scene.start)
                     pipe.send(("ready",))
         except ppl.PhasePPLError as error:
+            if reader is not None:
+                reader.close()
             reader = None
             pipe.send(("broken", game, str(error)))
         except (EOFError, OSError):  # the other side has ended
