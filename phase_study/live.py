@@ -304,12 +304,13 @@ class Live:
 
     async def _back(self, frame: int) -> None:
         """Go back to a frame, and wait there: what was done until then is done again."""
-        steps = self.room.steps[:frame]
+        game, steps = self._game, self.room.steps[:frame]
         if self._playing is not None:
             self._playing.cancel()
         again = self._made()
         await asyncio.to_thread(again.repeat, steps)
-        self._enter(again)
+        if self._game == game:  # no other game has begun meanwhile
+            self._enter(again)
 
     # --- players ----------------------------------------------------------------------------------
 
@@ -329,7 +330,7 @@ class Live:
         if first:
             told += [
                 {"t": "read", "frame": number, "poses": poses.round(3).tolist()}
-                for number, poses in enumerate(room.frames)
+                for number, poses in enumerate(room.frames[: len(room.steps) + 1])
             ]
             if self._unread:
                 told.append({"t": "unread", "text": self._unread})
@@ -375,9 +376,9 @@ class Live:
                 self._go()
             case {"t": "pause"}:
                 self._pause("asked")
-            case {"t": "back", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
+            case {"t": "back", "frame": int(frame)} if 0 <= frame <= len(self.room.steps):
                 self._later(self._back(frame))
-            case {"t": "look", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
+            case {"t": "look", "frame": int(frame)} if 0 <= frame <= len(self.room.steps):
                 self._tell("look", self._game, frame)
             case {"t": "view", "all": bool(everything)}:
                 self._wishes.sees_all = everything
@@ -387,7 +388,7 @@ class Live:
             case {"t": "film"} if len(self.room.frames) > 1:
                 self._make("film", {})
             case {"t": "what if", "frame": int(frame), "change": dict(change)} if (
-                0 <= frame < len(self.room.frames) and {*change} <= self._changes
+                0 <= frame <= len(self.room.steps) and {*change} <= self._changes
             ):
                 self._make("what_if", {"at": frame, "seconds": 3.0, "change": change})
             case _:
