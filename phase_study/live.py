@@ -109,7 +109,6 @@ class Live:
         self._making: dict[int, Path] = {}  # films that are not complete
         self._films: dict[int, Path] = {}
         self._unread = ""  # why this game is read no further
-        self._is_awake = False
 
     # --- its beginning and end --------------------------------------------------------------------
 
@@ -359,7 +358,6 @@ class Live:
             "partners": list(PARTNERS) if len(agents) > 1 else ["nobody"],
             "draws": not isinstance(self._scenes, ppl.Scene),
             "wishes": dataclasses.asdict(self._wishes),
-            "awake": self._is_awake,
         }
 
     def _heed(self, given: Message) -> bool:
@@ -455,9 +453,6 @@ class Live:
     def _heard(self, message: tuple[Any, ...]) -> None:
         page = self.seats[0]
         match message:
-            case ("ready",):
-                self._is_awake = True
-                page.tell({"t": "awake"})
             case ("reading", game, found) if game == self._game:
                 page.tell({"t": "reading", **found})
             case ("broken", game, text) if game == self._game:
