@@ -32,7 +32,7 @@ from phase_study.room import Message, Room, Seat
 from phase_study.server import STATIC, Rates, application, same_origin
 from phase_study.settings import Settings, template
 from phase_study.sockets import talk
-from phase_study.study import serve
+from phase_study.study import check_host, names_of, serve
 
 PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 """Who the other agents are: the planner with a goal of its own, with mine, or against it; a second
@@ -116,6 +116,7 @@ class Live:
         self,
         port: int = 8000,
         host: str = "127.0.0.1",
+        url: str = "",
         *,
         ready: Callable[[str], object] = print,
         keep: Callable[[Any], object] = lambda server: None,
@@ -125,13 +126,17 @@ class Live:
         Args:
             port: port at which to listen; 0: a free one.
             host: address at which to listen; by default this machine only.
+            url: address by which people reach it, as in "https://game.example.org".
             ready: called with the address once people can come.
             keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
 
         Raises:
+            InvalidSettingError: the url is invalid, or missing for a host such as 0.0.0.0.
             OutputError: another server uses the port.
         """
-        serve(self.app([host]), port, host, "", ready, keep)
+        names, _ = names_of(url, host)
+        check_host(host, url)
+        serve(self.app(names), port, host, url, ready, keep)
 
     def app(self, names: Sequence[str] = ()) -> Starlette:
         """Return the application, which answers to ``names`` beside those of this machine."""
