@@ -40,6 +40,7 @@ player; or nobody, so that they stand still."""
 
 SECONDS: Final = 120  # longest game
 _STAYS: Final = 12  # frames for which a goal must hold, 3 s
+_AHEAD: Final = 3.0  # simulated seconds of a what if: 9 s at the speed of the game
 _LEVELS: Final = reader.LIKELIHOOD.tracking.strengths
 
 
@@ -393,7 +394,7 @@ class Live:
             case {"t": "what if", "frame": int(frame), "change": dict(change)} if (
                 0 <= frame <= len(self.room.steps) and {*change} <= self._changes
             ):
-                self._make("what_if", {"at": frame, "seconds": 3.0, "change": change})
+                self._make("what_if", {"at": frame, "seconds": _AHEAD, "change": change})
             case _:
                 return False
         return True

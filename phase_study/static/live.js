@@ -364,8 +364,8 @@ class Live {
       event.preventDefault();
       if (this.state === "going") this.send({ t: "pause" });
       this.send({ t: "what if", frame: this.looking ?? this.reads.length - 1, change: changes.get(kind.value).change(more.firstChild?.value) });
-    } }, labelled("From the frame on show, what if", kind), more, element("button", { type: "submit" }, "Simulate 3 s"));
-    this.whatIf.replaceChildren(this.whatIf.firstChild, ask, element("p", { class: "small" }, "Four hypotheses are drawn from the posterior and simulated from there, as it is and with the change."));
+    } }, labelled("From the frame on show, what if", kind), more, element("button", { type: "submit" }, "Simulate 9 s"));
+    this.whatIf.replaceChildren(this.whatIf.firstChild, ask, element("p", { class: "small" }, "Four hypotheses are drawn from the posterior and simulated from there, as it is and with the change. The answer counts simulated time, a third of the time on show."));
   }
 }
 
