@@ -3,7 +3,8 @@
 Each is a function of scene and observation that returns a number of a size of about 1. It is about
 two agents, by their places in ``scene.world.agents``; by default the first two. Cues are evidence
 of a relation, not parts of a model of how videos come about: a prior that uses them looks at the
-video, which the likelihood explains too.
+video, which the likelihood explains too. A pair that is not of two agents raises
+InvalidSettingError; an observation with gaps raises InvalidEventError.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from phase_ppl.data.motion import TAIL, items_held, last_motion
 from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
 from phase_ppl.world.event import Observation
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene
@@ -42,7 +44,7 @@ _MOVES: Final = 0.05  # units per frame from which on a body counts as moving
 
 def distance(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the log of the mean distance between the agents' centres over 5 units."""
-    return float(np.log(max(_apart(observation, pair).mean(), 1e-3) / _NEAR))
+    return float(np.log(max(_apart(scene, observation, pair).mean(), 1e-3) / _NEAR))
 
 
 def contact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
@@ -55,7 +57,7 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 
     It is the geometric mean of both agents, for the item with the larger value; 0 without items.
     """
-    trajectory, n = _seen(observation), len(scene.world.agents)
+    trajectory, n, pair = _seen(observation), len(scene.world.agents), _checked(scene, pair)
     agents, items = trajectory[:, pair, None, :2], trajectory[:, None, n:, :2]
     rims = _SIDE * scene.radius[[*pair], None] + scene.radius[n:]
     at = np.linalg.norm(agents - items, axis=-1) < rims + _AT
@@ -66,15 +68,15 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 
 def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the largest approach within three frames before a contact begins, over 5 units."""
-    apart, touch = _apart(observation, pair), _touch(scene, observation, pair)
+    apart, touch = _apart(scene, observation, pair), _touch(scene, observation, pair)
     begins = np.flatnonzero(touch[1:] & ~touch[:-1]).tolist()
     return float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0)) / _NEAR
 
 
 def holding(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return 1 if both agents hold the same item at some time, else 0."""
-    n = len(scene.world.agents)
-    one, other = items_held(_seen(observation), scene.radius, n_agents=n)[:, pair].T
+    held = items_held(_seen(observation), scene.radius, n_agents=len(scene.world.agents))
+    one, other = held[:, _checked(scene, pair)].T
     return float(((one != NOTHING) & (one == other)).any())
 
 
@@ -86,7 +88,7 @@ def unsettled(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> fl
 
 def synchrony(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
     """Return the mean cosine between the agents' motions, 0 in frames in which one rests."""
-    steps = np.diff(_seen(observation)[:, pair, :2], axis=0)
+    steps = np.diff(_seen(observation)[:, _checked(scene, pair), :2], axis=0)
     speeds = np.linalg.norm(steps, axis=2)
     cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
     return float(np.where((speeds > _MOVES).all(axis=1), cosine, 0.0).mean())
@@ -107,15 +109,24 @@ def _seen(observation: Observation) -> FloatArray:
     return observation.whole("a cue").trajectory
 
 
-def _apart(observation: Observation, pair: Pair) -> FloatArray:
+def _checked(scene: Scene, pair: Pair) -> Pair:
+    """Return a pair, after a check that it is of two agents: items come next in arrays."""
+    last = len(scene.world.agents) - 1
+    agents = [whole_number("an agent of pair", agent, 0, last) for agent in pair]
+    if len({*agents}) != 2 or len(agents) != 2:
+        raise InvalidSettingError(f"pair={shown(pair)}: expected two agents")
+    return agents[0], agents[1]
+
+
+def _apart(scene: Scene, observation: Observation, pair: Pair) -> FloatArray:
     """Return (time,) distances between two agents' centres, units."""
-    one, other = _seen(observation)[:, pair, :2].transpose(1, 0, 2)
+    one, other = _seen(observation)[:, _checked(scene, pair), :2].transpose(1, 0, 2)
     return np.asarray(np.linalg.norm(one - other, axis=1))
 
 
 def _touch(scene: Scene, observation: Observation, pair: Pair) -> BoolArray:
     """Return (time,) whether two agents' broad sides could touch."""
-    return np.asarray(_apart(observation, pair) < _REACH * scene.radius[[*pair]].sum())
+    return np.asarray(_apart(scene, observation, pair) < _REACH * scene.radius[[*pair]].sum())
 
 
 def __dir__() -> list[str]:
