@@ -493,8 +493,9 @@ class Live:
 
     def event(self) -> ppl.Event:
         """Return the game so far; without truth if somebody in it has no goal."""
-        alone = self._wishes.partner == "nobody" and len(self.world.agents) > 1
-        truth = None if alone else ppl.Truth.of(self._roles)
+        players = {"nobody": 1, "player": 2}.get(self._wishes.partner, len(self.world.agents))
+        is_known = players >= len(self.world.agents)
+        truth = ppl.Truth.of(self._roles) if is_known else None
         frames = np.array(self.room.frames)
         return ppl.Event(self.room.scene, ppl.Observation(frames), id="live", truth=truth)
 
