@@ -32,7 +32,7 @@ from phase_study.room import Message, Room, Seat
 from phase_study.server import STATIC, Rates, application, same_origin
 from phase_study.settings import Settings, template
 from phase_study.sockets import talk
-from phase_study.study import serve
+from phase_study.study import check_host, names_of, serve
 
 PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 """Who the other agents are: the planner with a goal of its own, with mine, or against it; a second
@@ -40,6 +40,7 @@ player; or nobody, so that they stand still."""
 
 SECONDS: Final = 120  # longest game
 _STAYS: Final = 12  # frames for which a goal must hold, 3 s
+_AHEAD: Final = 3.0  # simulated seconds of a what if: 9 s at the speed of the game
 _LEVELS: Final = reader.LIKELIHOOD.tracking.strengths
 
 
@@ -106,8 +107,9 @@ class Live:
         self._tasks: set[asyncio.Task[Any]] = set()
         self._playing: asyncio.Task[None] | None = None
         self._reached = False
-        self._making: dict[int, Path] = {}
-        self._is_awake = False
+        self._making: dict[int, Path] = {}  # films that are not complete
+        self._films: dict[int, Path] = {}
+        self._unread = ""  # why this game is read no further
 
     # --- its beginning and end --------------------------------------------------------------------
 
@@ -115,6 +117,7 @@ class Live:
         self,
         port: int = 8000,
         host: str = "127.0.0.1",
+        url: str = "",
         *,
         ready: Callable[[str], object] = print,
         keep: Callable[[Any], object] = lambda server: None,
@@ -124,13 +127,17 @@ class Live:
         Args:
             port: port at which to listen; 0: a free one.
             host: address at which to listen; by default this machine only.
+            url: address by which people reach it, as in "https://game.example.org".
             ready: called with the address once people can come.
             keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
 
         Raises:
+            InvalidSettingError: the url is invalid, or missing for a host such as 0.0.0.0.
             OutputError: another server uses the port.
         """
-        serve(self.app([host]), port, host, "", ready, keep)
+        names, _ = names_of(url, host)
+        check_host(host, url)
+        serve(self.app(names), port, host, url, ready, keep)
 
     def app(self, names: Sequence[str] = ()) -> Starlette:
         """Return the application, which answers to ``names`` beside those of this machine."""
@@ -157,23 +164,20 @@ class Live:
         return app
 
     def _open(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._pipe, self._process = reader.started()
         # a full pipe keeps this thread waiting, not the game
         self._sender = ThreadPoolExecutor(1, "to the reader")
-        loop.add_reader(self._pipe.fileno(), self._hear)
+        self._start_reader()
         self._tell("warm up", self._drawn())
         self._begin(self._wishes)
 
     async def _close(self) -> None:
-        asyncio.get_running_loop().remove_reader(self._pipe.fileno())
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._process.terminate()
+        if not self._has_ended:
+            self._end_reader()
         self._sender.shutdown(cancel_futures=True)
         self._pipe.close()
-        self._process.join()
 
     def _later(self, doing: Any) -> asyncio.Task[Any]:
         task = asyncio.create_task(doing)
@@ -252,6 +256,9 @@ class Live:
         if self._playing is not None:
             self._playing.cancel()
         self.room, self._game, self._reached = room, next(self._numbers), False
+        self._unread = ""
+        if self._has_ended:
+            self._start_reader()
         room.going.clear()
         for seat in self.seats:
             seat.controls.release()
@@ -302,12 +309,13 @@ class Live:
 
     async def _back(self, frame: int) -> None:
         """Go back to a frame, and wait there: what was done until then is done again."""
-        steps = self.room.steps[:frame]
+        game, steps = self._game, self.room.steps[:frame]
         if self._playing is not None:
             self._playing.cancel()
         again = self._made()
         await asyncio.to_thread(again.repeat, steps)
-        self._enter(again)
+        if self._game == game:  # no other game has begun meanwhile
+            self._enter(again)
 
     # --- players ----------------------------------------------------------------------------------
 
@@ -327,8 +335,10 @@ class Live:
         if first:
             told += [
                 {"t": "read", "frame": number, "poses": poses.round(3).tolist()}
-                for number, poses in enumerate(room.frames)
+                for number, poses in enumerate(room.frames[: len(room.steps) + 1])
             ]
+            if self._unread:
+                told.append({"t": "unread", "text": self._unread})
         return [*told, room.shown(agent), {"t": "going" if room.going.is_set() else "waiting"}]
 
     def _words(self, agent: int, goal: str) -> str:
@@ -354,7 +364,6 @@ class Live:
             "partners": list(PARTNERS) if len(agents) > 1 else ["nobody"],
             "draws": not isinstance(self._scenes, ppl.Scene),
             "wishes": dataclasses.asdict(self._wishes),
-            "awake": self._is_awake,
         }
 
     def _heed(self, given: Message) -> bool:
@@ -371,9 +380,9 @@ class Live:
                 self._go()
             case {"t": "pause"}:
                 self._pause("asked")
-            case {"t": "back", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
+            case {"t": "back", "frame": int(frame)} if 0 <= frame <= len(self.room.steps):
                 self._later(self._back(frame))
-            case {"t": "look", "frame": int(frame)} if 0 <= frame < len(self.room.frames):
+            case {"t": "look", "frame": int(frame)} if 0 <= frame <= len(self.room.steps):
                 self._tell("look", self._game, frame)
             case {"t": "view", "all": bool(everything)}:
                 self._wishes.sees_all = everything
@@ -383,9 +392,9 @@ class Live:
             case {"t": "film"} if len(self.room.frames) > 1:
                 self._make("film", {})
             case {"t": "what if", "frame": int(frame), "change": dict(change)} if (
-                0 <= frame < len(self.room.frames) and {*change} <= self._changes
+                0 <= frame <= len(self.room.steps) and {*change} <= self._changes
             ):
-                self._make("what_if", {"at": frame, "seconds": 3.0, "change": change})
+                self._make("what_if", {"at": frame, "seconds": _AHEAD, "change": change})
             case _:
                 return False
         return True
@@ -416,8 +425,24 @@ class Live:
 
     # --- the reader -------------------------------------------------------------------------------
 
+    def _start_reader(self) -> None:
+        self._pipe, self._process = reader.started()
+        self._has_ended = False
+        asyncio.get_running_loop().add_reader(self._pipe.fileno(), self._hear)
+
+    def _end_reader(self) -> None:
+        self._has_ended = True
+        asyncio.get_running_loop().remove_reader(self._pipe.fileno())
+        self._process.terminate()
+        self._process.join()
+
     def _tell(self, *message: Any) -> None:
         self._sender.submit(self._pipe.send, message)
+
+    def _cannot_read(self, why: str) -> None:
+        """Say so, now and to a page that comes later; the game goes on."""
+        self._unread = why
+        self.seats[0].tell({"t": "unread", "text": why})
 
     def _hear(self) -> None:
         """Hand on what the reader says."""
@@ -425,25 +450,29 @@ class Live:
             while self._pipe.poll():
                 self._heard(self._pipe.recv())
         except (EOFError, OSError):
-            asyncio.get_running_loop().remove_reader(self._pipe.fileno())
-            self.seats[0].tell({"t": "unread", "text": "the reader has ended; start anew"})
+            self._end_reader()
+            why = "its process has ended; start over"
+            for number in [*self._making]:
+                self._heard(("failed", number, why))
+            self._cannot_read(why)
 
     def _heard(self, message: tuple[Any, ...]) -> None:
         page = self.seats[0]
         match message:
-            case ("ready",):
-                self._is_awake = True
-                page.tell({"t": "awake"})
             case ("reading", game, found) if game == self._game:
                 page.tell({"t": "reading", **found})
             case ("broken", game, text) if game == self._game:
-                page.tell({"t": "unread", "text": text})
+                self._cannot_read(text)
             case ("made" | "failed" as how, number, text):
-                if how == "failed":
-                    self._making.pop(number)
+                path = self._making.pop(number)
+                if how == "made":
+                    self._films[number] = path
                 page.tell({"t": how, "number": number, "text": text})
 
     def _make(self, what: str, given: Mapping[str, Any]) -> None:
+        if self._unread:
+            self.seats[0].tell({"t": "refused", "text": f"the model cannot read: {self._unread}"})
+            return
         number = next(self._numbers)
         self._making[number] = path = self._folder / f"{number}.mp4"
         self._tell("make", number, what, {"path": path, **given})
@@ -464,14 +493,15 @@ class Live:
 
     def event(self) -> ppl.Event:
         """Return the game so far; without truth if somebody in it has no goal."""
-        alone = self._wishes.partner == "nobody" and len(self.world.agents) > 1
-        truth = None if alone else ppl.Truth.of(self._roles)
+        players = {"nobody": 1, "player": 2}.get(self._wishes.partner, len(self.world.agents))
+        is_known = players >= len(self.world.agents)
+        truth = ppl.Truth.of(self._roles) if is_known else None
         frames = np.array(self.room.frames)
         return ppl.Event(self.room.scene, ppl.Observation(frames), id="live", truth=truth)
 
     async def _film(self, request: Request) -> Response:
-        path = self._making.get(request.path_params["number"])
-        if path is None or not path.is_file():
+        path = self._films.get(request.path_params["number"])
+        if path is None:
             raise HTTPException(404, "there is no such film")
         return FileResponse(path, media_type="video/mp4", filename="live.mp4",
                             content_disposition_type="inline")  # fmt: skip

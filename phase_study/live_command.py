@@ -22,6 +22,7 @@ def live(options: Any) -> None:
         --world NAME: $WORLDS, whose scenes are drawn
         --port N: default 8000; 0: any
         --host NAME: default 127.0.0.1: this machine only
+        --url URL: address by which people come, such as https://game.example.org
         $seed
 
     example: phase-ppl live

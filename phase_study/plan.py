@@ -7,7 +7,6 @@ a second tab and a lost connection are handled alike.
 from __future__ import annotations
 
 import functools
-import itertools
 import random
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -303,9 +302,10 @@ def is_number(value: object, most: float) -> bool:
 
 def _stopped(moments: Sequence[float], asked: Sequence[Page], given: Any) -> list[dict[str, Any]]:
     """Return the answers at the moments at which a film stopped: a shorter one has fewer."""
-    stops = given if isinstance(given, list) else [None]
+    if not isinstance(given, list) or len(given) > len(moments):
+        raise Unfit(f"moments: expected the answers at {len(moments)} at most")
     found = []
-    for at, stop in itertools.zip_longest(moments[: len(stops)], stops):
+    for at, stop in zip(moments, given, strict=False):
         names = {"at", "rt", *(question["name"] for question in asked)}
         if not isinstance(stop, dict) or {*stop} != names or stop["at"] != at:
             raise Unfit("moments: expected the answers at each")

@@ -152,7 +152,7 @@ def serve(pipe: Connection) -> None:
     """Read what comes through a pipe until it is closed.
 
     Messages to it: ("begin", game, scene, agent), ("frame", game, poses), ("look", game, frame),
-    ("make", number, name of a method, arguments), ("warm up", scene). Messages from it: ("ready",),
+    ("make", number, name of a method, arguments), ("warm up", scene). Messages from it:
     ("reading", game, what is believed), ("broken", game, text), ("made" or "failed", number, text).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
@@ -180,8 +180,9 @@ def serve(pipe: Connection) -> None:
                     with ppl.watch(scene, MODEL) as watch:
                         for _ in range(2):
                             watch.update(scene.start)
-                    pipe.send(("ready",))
         except ppl.PhasePPLError as error:
+            if reader is not None:
+                reader.close()
             reader = None
             pipe.send(("broken", game, str(error)))
         except (EOFError, OSError):  # the other side has ended

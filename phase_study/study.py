@@ -201,15 +201,8 @@ class Study:
         check_extra()
         from phase_study.server import Site, create_app
 
-        parts = urlsplit(url)
-        if url and (
-            parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/")
-        ):
-            raise ppl.errors.InvalidSettingError(
-                f"url {url!r}: expected one such as https://study.example.org"
-            )
-        names = [name for name in (parts.hostname, host) if name and name not in _ANY]
-        site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
+        names, is_secure = names_of(url, host)
+        site = Site(self.folder, self.settings, self.events, secure=is_secure)
         if self.settings.kind == "play":
             from phase_study.play import routes
 
@@ -240,16 +233,10 @@ class Study:
             OutputError: another server uses the folder or the port.
         """
         check_extra()
-        if host in _ANY and not url:
-            raise ppl.errors.InvalidSettingError(
-                f"host {host} needs url, the address by which people come"
-            )
-        warnings = self.check()
-        app = self.app(url, host)
-        if host not in _LOOPBACK and not url.startswith("https:"):
-            warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
-        for warning in warnings:
+        check_host(host, url)
+        for warning in self.check():
             print(f"phase-ppl: note: {warning}", file=sys.stderr)
+        app = self.app(url, host)
         with ppl.files.locked(self.folder):
             serve(app, port, host, url, ready, keep)
 
@@ -305,6 +292,40 @@ class Study:
 
     def __repr__(self) -> str:
         return f"<Study of {self.settings.kind} in {self.folder}>"
+
+
+def names_of(url: str, host: str) -> tuple[list[str], bool]:
+    """Return the names by which people reach a server, and whether they come over TLS.
+
+    Raises:
+        InvalidSettingError: the url is invalid.
+    """
+    parts = urlsplit(url)
+    if url and (
+        parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/")
+    ):
+        raise ppl.errors.InvalidSettingError(
+            f"url {url!r}: expected one such as https://study.example.org"
+        )
+    names = [name for name in (parts.hostname, host) if name and name not in _ANY]
+    return names, parts.scheme == "https"
+
+
+def check_host(host: str, url: str) -> None:
+    """Say on stderr that others can come without TLS.
+
+    Raises:
+        InvalidSettingError: nobody can come, as the name that they would use is not known.
+    """
+    if host in _ANY and not url:
+        raise ppl.errors.InvalidSettingError(
+            f"host {host} needs url, the address by which people come"
+        )
+    if host not in _LOOPBACK and not url.startswith("https:"):
+        print(
+            f"phase-ppl: note: {host} can be reached by others without TLS; put a proxy before it",
+            file=sys.stderr,
+        )
 
 
 def serve(

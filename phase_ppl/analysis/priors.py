@@ -33,7 +33,7 @@ from phase_ppl.models.priors import (
     uniform,
 )
 from phase_ppl.models.stepwise import stepwise_prior
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.picture import plain, wrapped
@@ -122,9 +122,12 @@ def summary(
         world: whose agents and goals; by default the event's, or PHASE.
 
     Raises:
-        InvalidSettingError: it cannot work, or looks at a video and there is no event.
+        InvalidSettingError: it cannot work, or looks at a video and there is no event; or event or
+            world are none.
         UnknownNameError: there is no prior of that name.
     """
+    instance_of("event", event, (Event, type(None)), "a phase_ppl.Event")
+    instance_of("world", world, (World, type(None)), "a phase_ppl.World")
     if event is not None and world not in (None, event.scene.world):
         raise InvalidSettingError(f"world is not that of the event: {event.scene.world.name!r}")
     given, levels = Model(prior=prior).prior, Tracking().strengths

@@ -7,7 +7,7 @@ import functools
 import math
 import os
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
+    instance_of,
     number_of_workers,
     positive_number,
     shown,
@@ -282,6 +283,7 @@ class Change:
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
             sites[space.company_site] = ALPHAS.index(tuple(alpha))
             words.append(f"alpha = {alpha}")
+        instance_of("remove", remove, Iterable, "an entity or several")
         names = [remove] if isinstance(remove, str) else remove
         removed = tuple(_entity(name, world.entities) for name in names)
         words += [f"the {world.entities[entity]} removed" for entity in removed]

@@ -60,18 +60,18 @@ def query(options: Options) -> int:
         post = post.with_prior(own.taken(options.prior, "prior"))
     if options.define is not None:
         post.define_from(options.define)
-    answers, failed = dict[str, Any](), list[QueryError]()
+    answers, failed = list[tuple[str, Any]](), list[QueryError]()
     for question in options.question:
         try:
-            answers[question] = post.query(question)
+            answers.append((question, post.query(question)))
         except QueryError as error:
             failed.append(error)
     if failed and not answers:
         raise failed[0]
     if options.json:
-        _print_json([{"question": q, **_record(found)} for q, found in answers.items()], 2)
+        _print_json([{"question": q, **_record(found)} for q, found in answers], 2)
     else:
-        for question, found in answers.items():
+        for question, found in answers:
             print("\n".join(_lines(" ".join(question.split()), found)))
     for one in failed:
         print(f"phase-ppl: error: {one}", file=sys.stderr)

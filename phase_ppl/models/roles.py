@@ -290,7 +290,8 @@ def _looking(
         raise refused(
             qualified_name(prior),
             f"asks for {' and '.join(looks)}, and {whole} is not known here: take "
-            "phase_ppl.infer(event, model), or watch(scene, model, observation=event.observation)",
+            "phase_ppl.infer(event, model), watch(scene, model, observation=event.observation) or "
+            "priors.summary(prior, event)",
         )
     if looks == ("scene",) or observation is None:  # the same, whatever happens in it
         observation = Observation(np.stack([scene.start] * 2))

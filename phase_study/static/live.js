@@ -190,7 +190,7 @@ class Live {
     ping() { this.send({ t: "pong" }); },
     elsewhere() {},
     nobody() { this.goal.textContent = "This game has no second player. The first player can choose one."; },
-    setup(message) { this.choices = message; this.wishes = message.wishes; this.offer(); if (message.awake) this.heed.awake.call(this); },
+    setup(message) { this.choices = message; this.wishes = message.wishes; this.offer(); },
     scene(message) {
       this.scene = message;
       this.games++;
@@ -231,7 +231,6 @@ class Live {
     over() { this.state = "over"; this.status.textContent = "The time is up."; this.labels(); },
     refused(message) { this.status.textContent = message.text; },
     unread(message) { this.lost = true; this.lag.textContent = `The model cannot read on: ${message.text}`; },
-    awake() { this.isAwake = true; this.behind(); },
     making(message) {
       const what = message.what === "film" ? "The film" : "The answer";
       this.films.prepend(element("section", { id: `film-${message.number}` }, element("p", { role: "status" }, `${what} is being made, which takes some seconds \u2026`)));
@@ -365,8 +364,8 @@ class Live {
       event.preventDefault();
       if (this.state === "going") this.send({ t: "pause" });
       this.send({ t: "what if", frame: this.looking ?? this.reads.length - 1, change: changes.get(kind.value).change(more.firstChild?.value) });
-    } }, labelled("From the frame on show, what if", kind), more, element("button", { type: "submit" }, "Simulate 3 s"));
-    this.whatIf.replaceChildren(this.whatIf.firstChild, ask, element("p", { class: "small" }, "Four hypotheses are drawn from the posterior and simulated from there, as it is and with the change."));
+    } }, labelled("From the frame on show, what if", kind), more, element("button", { type: "submit" }, "Simulate 9 s"));
+    this.whatIf.replaceChildren(this.whatIf.firstChild, ask, element("p", { class: "small" }, "Four hypotheses are drawn from the posterior and simulated from there, as it is and with the change. The answer counts simulated time, a third of the time on show."));
   }
 }
 

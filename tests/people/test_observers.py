@@ -133,6 +133,14 @@ def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them
         assert given.answers[name].reshape(N_GOALS, N_GOALS)[other] == goals
 
 
+@pytest.mark.parametrize("pair", [(0, 2), (0, 0), (1,), (0, 1.5)])
+@pytest.mark.parametrize("name", [name for name in ppl.cues.CUES if name != "unsettled"])
+def test_a_cue_is_of_two_agents(name: str, pair: Any) -> None:
+    event = ppl.load_event("collaborate")
+    with pytest.raises(InvalidSettingError, match="pair"):
+        ppl.cues.CUES[name](event.scene, event.observation, pair)
+
+
 def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
     found = {name: ppl.cues.surface(e.scene, e.observation) for name in ppl.bundled_events()
              for e in [ppl.load_event(name)]}  # fmt: skip

@@ -55,6 +55,7 @@ def test_answers_of_sliders_and_stops_are_checked_and_how_sure_people_are_is_kep
         {**stopped, "moments": [{**right, "at": 0.6, "rt": 900}]},
         {**stopped, "moments": [{**right, "at": 0.5}]},
         {**stopped, "moments": stopped["moments"] * 2},
+        {**stopped, "moments": [*stopped["moments"], {**right, "at": None, "rt": 900}]},
     ):
         with pytest.raises(plan.Unfit):
             plan.checked(study.settings, "trial-1", bad)

@@ -81,6 +81,28 @@ def test_a_reading_is_that_of_the_saved_event_and_going_back_repeats_the_game(
     np.testing.assert_allclose(found["goals"][0], post.marginal("goal_red"), atol=1e-3)
 
 
+def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> None:
+    game = Live(near_goals().scene)
+    with client_of(game) as client:
+        with connected(client) as socket:
+            socket.send_json(wishes())
+            until(socket, "reading")
+            socket.send_json({"t": "hurry"})
+            until(socket, "read", lambda found: found["frame"] == 2)
+            socket.send_json({"t": "film"})
+            until(socket, "making")
+            game._process.kill()
+            until(socket, "failed")
+            until(socket, "unread")
+            until(socket, "read", lambda found: found["frame"] > 2)
+            socket.send_json({"t": "film"})
+            until(socket, "refused")
+        with connected(client) as socket:
+            until(socket, "unread")  # a page that is opened later is told
+            socket.send_json(wishes())
+            until(socket, "reading")
+
+
 def test_a_second_player_steers_another_agent_of_any_world() -> None:
     with (
         client_of(Live(ppl.worlds.TRIO)) as client,
