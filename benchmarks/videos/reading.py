@@ -18,7 +18,6 @@ from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
     Conduct,
     GoalFilter,
-    Open,
     Plans,
     SearchSets,
     policies_of,
@@ -205,8 +204,8 @@ class Recorder(SearchSets):
 
         self.hidden.advance = advanced  # type: ignore
 
-    def plans(self, open_to: Open | None = None) -> list[list[Plans]]:
-        found = super().plans(open_to)
+    def plans(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Plans]]:
+        found = super().plans(wanted)
         self.searched.append(
             [
                 [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
