@@ -111,7 +111,7 @@ def surface(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> dict
 def _seen(scene: Scene, observation: Observation, pair: Pair) -> FloatArray:
     """Return the trajectory, once it is known to show two agents throughout."""
     n = len(scene.world.agents)
-    if len(pair) != 2 or not set(pair) <= set(range(n)):
+    if len(pair) != 2 or len(set(pair) & set(range(n))) != 2:
         raise InvalidSettingError(
             f"pair={shown(pair)}, expected places of two of the world's agents, which are {n}"
         )

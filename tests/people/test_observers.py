@@ -155,13 +155,6 @@ def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
     assert close["distance"] < ppl.cues.surface(event.scene, Observation(far))["distance"]
 
 
-@pytest.mark.parametrize("pair", [(0, 2), (-1, 0), (0,)])
-def test_cues_are_of_two_agents_and_never_of_items(pair: Any) -> None:
-    event = ppl.load_event("independent")
-    with pytest.raises(InvalidSettingError, match=r"pair=.*agents, which are 2"):
-        ppl.cues.distance(event.scene, event.observation, pair)
-
-
 def test_a_reading_misses_frames_and_misjudges_positions() -> None:
     event = ppl.load_event("independent")
     seen = Perception(noise=0.2, missed=0.5, percepts=3)
