@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from loky.backend import get_context
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
@@ -191,7 +192,8 @@ def serve(pipe: Connection) -> None:
 
 def started() -> tuple[Connection, multiprocessing.process.BaseProcess]:
     """Start a reader; return the other end of its pipe, and the process."""
-    context = multiprocessing.get_context("spawn")
+    # unlike "spawn" it does not run the caller's script again, which needs no guard then
+    context = get_context("loky")
     here, there = context.Pipe()
     process = context.Process(target=serve, args=(there,), daemon=True, name="reader")
     process.start()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -91,7 +93,9 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "read", lambda found: found["frame"] == 2)
             socket.send_json({"t": "film"})
             until(socket, "making")
-            game._process.kill()
+            pid = game._process.pid
+            assert pid is not None
+            os.kill(pid, signal.SIGKILL)
             until(socket, "failed")
             until(socket, "unread")
             until(socket, "read", lambda found: found["frame"] > 2)
