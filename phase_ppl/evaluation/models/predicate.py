@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.models.effective import WorldPrior
     from phase_ppl.models.predicate import PredicateSettings
     from phase_ppl.models.roles import Masses
 
@@ -50,16 +49,17 @@ class PredicateInversePlanning:
 
 @functools.lru_cache(16)
 def prior_in(world: World, name: str) -> Masses:
-    """Return what the prior of that name is in another world than PHASE.
+    """Return what the prior of that name is as one of own goals and ways to help or hinder.
 
-    InvalidSettingError: it is of PHASE only.
+    InvalidSettingError: it is of PHASE only, and the world another.
     """
     from phase_ppl.models import priors, roles
     from phase_ppl.models.predicate import INDEPENDENT
 
     alone = functools.partial(roles.uniform, social=0.0)
-    prior = roles.bound(alone if name == INDEPENDENT else priors.named(name), world)
-    return roles.masses_of(cast("WorldPrior", prior))
+    prior = alone if name == INDEPENDENT else priors.named(name)
+    asks = roles.role_prior(prior, world)
+    return roles.masses_of(roles.WorldPrior(prior, asks, world, arguments=(world,)))
 
 
 def marginals(
