@@ -95,7 +95,7 @@ def items_held(
     within: float = HELD_WITHIN,
     n_agents: int = len(AGENTS),
 ) -> NDArray[np.int64]:
-    """Return (time, agent): the item that the agent seems to hold, by its place, or -1.
+    """Return (time, agent): the index of the item that the agent seems to hold, or -1.
 
     ``trajectory`` is (time, entity, coord) x, y [units], angle [rad], ``radius`` (entity,) sizes
     [units]. The first entities are agents, the others items.

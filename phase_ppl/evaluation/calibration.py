@@ -121,8 +121,9 @@ class Calibration(Printed):
         answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``;
         ``ece``, the expected calibration error over the bins of :meth:`reliability`, and
         ``ece_chance``, its mean if the model were calibrated; mean ``log_score`` and what was
-        ``expected``, nats, and ``p_score`` that they differ so by chance: 10 000 times truths are
-        drawn from what was said, for scores too low with the lapse. Last ``verdict``, in words.
+        ``expected``, nats; and ``p_score``, the probability of such a difference by chance. For
+        that, 10 000 sets of truths are drawn from the stated probabilities; to judge scores that
+        are too low, these are mixed with the lapse of log scores. Last ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
