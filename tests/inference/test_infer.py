@@ -156,7 +156,7 @@ def test_a_kernel_goes_by_name_or_function_and_room_for_more_frames_changes_no_d
 def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_ways() -> None:
     found = runs.infer(kernel="smc", move="prior_mh")
     # what could have been stopped went by the likelihood at a temperature
-    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
+    with pytest.raises(InvalidSettingError, match="use weights='count'"):
         ppl.Posterior(found.tree, "stratified")
     assert found.over_time().attrs["weights"] == "count"
     seeds = found.tree["sample_stats"]["sim_seed"].values
