@@ -375,17 +375,29 @@ def split_half(
 
 
 def split_half_of(
-    answers: Answers, kind: str, weights: FloatArray, seed: int
+    answers: Answers, kind: str, weights: FloatArray, seed: int, at: Sequence[float] = ()
 ) -> tuple[FloatArray, int]:
-    """Return :func:`split_half` of people's answers to a kind of questions."""
-    votes = answers.array(kind, "votes")
-    given, rows = responses_of(answers.events), None
+    """Return :func:`split_half` of people's answers to a kind of questions.
+
+    They are about the whole film; or about it until the moments ``at``, with each person in one
+    half at all of them.
+    """
+    votes, rows = np.nan_to_num(answers.array(kind, "votes", at=at)), None
     if not votes.any():
         return np.full(len(weights), np.nan), 0
-    if given is not None:
+    films = at or (None,)
+    said = {film: one for film in films if (one := responses_of(answers.events, film)) is not None}
+    if said:
+        given = pd.concat([
+            one.assign(question=[f"{question} {film}" for question in one["question"]])
+            for film, one in said.items()
+        ])  # fmt: skip
         labels = answers.world.goals if kind == "goal" else RELATIONS
         events = [event.id for event in answers.events]
-        rows = rows_of(given, events, kinds_of(answers.world)[kind], labels)
+        names = [
+            f"{question} {film}" for film in films for question in kinds_of(answers.world)[kind]
+        ]
+        rows = rows_of(given, events, names, labels)
     return split_half(votes, weights, rows, seed)
 
 

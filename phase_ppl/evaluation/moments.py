@@ -28,7 +28,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-import pandas as pd
 
 from phase_ppl.evaluation.bootstrap import (
     by_event,
@@ -43,12 +42,10 @@ from phase_ppl.evaluation.doubt import (
     jensen_shannon,
     log_score,
     negative_entropy,
-    rows_of,
-    split_half,
+    split_half_of,
 )
-from phase_ppl.evaluation.table import Answers, kinds_of, responses_of
+from phase_ppl.evaluation.table import Answers
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.hypothesis import RELATIONS
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> prefix of the names of measures of agreement with people."""
@@ -79,9 +76,7 @@ def _agreement(answers: Answers, at: Sequence[float], seed: int, resamples: int)
     found: dict[str, Any] = {}
     bins = {}
     for kind, prefix in PREFIX.items():
-        p, people, votes = (
-            _array(answers, kind, name, at) for name in ("probability", "people", "votes")
-        )
+        p, people = (answers.array(kind, name, at=at) for name in ("probability", "people"))
         both = np.where(np.isnan(p), np.nan, people)
         scores = {
             f"{prefix}log_score": log_score(p, people),
@@ -92,44 +87,12 @@ def _agreement(answers: Answers, at: Sequence[float], seed: int, resamples: int)
         found[f"{kind}_r"] = measure(r, _n_events(p * people))
         for name, values in scores.items():
             found[name] = measure(weighted_mean(weights, values), _n_events(values))
-        halves = _split_half(answers, kind, np.nan_to_num(votes), weights, at, seed)
+        halves = split_half_of(answers, kind, weights, seed, at)
         found[f"{prefix}split_half_r"] = measure(*halves)
         known = ~np.isnan(p * people)
         bins[kind] = calibration(p[known], people[known])
         found[f"{prefix}ece"] = ece(bins[kind])
     return {**found, "calibration": bins}
-
-
-def _array(answers: Answers, kind: str, column: str, at: Sequence[float]) -> FloatArray:
-    """Return (event, moment and question, label) a column's values; NaN: nobody judged then."""
-    n_questions = len(kinds_of(answers.world)[kind])
-    n_labels = len(answers.world.goals if kind == "goal" else RELATIONS)
-    rows = answers.rows[(answers.rows["kind"] == kind) & answers.rows["at"].isin(at)]
-    first = rows.iloc[:: max(n_questions * n_labels, 1)]
-    found = np.full((len(answers.events), len(at), n_questions, n_labels), np.nan)
-    events = pd.Index([event.id for event in answers.events]).get_indexer(first["event"])
-    places = pd.Index(at).get_indexer(first["at"])
-    found[events, places] = rows[column].to_numpy().reshape(-1, n_questions, n_labels)
-    return found.reshape(len(answers.events), len(at) * n_questions, n_labels)
-
-
-def _split_half(
-    answers: Answers, kind: str, votes: FloatArray, weights: FloatArray, at: Sequence[float],
-    seed: int,
-) -> tuple[FloatArray, int]:  # fmt: skip
-    """Return :func:`split_half` over moments; votes are (event, moment and question, label)."""
-    if not votes.any():
-        return np.full(len(weights), np.nan), 0
-    questions = kinds_of(answers.world)[kind]
-    said = []
-    for moment in at:
-        given = responses_of(answers.events, moment)
-        if given is not None:
-            said.append(given.assign(question=f"{moment} " + given["question"].astype(object)))
-    labels = answers.world.goals if kind == "goal" else RELATIONS
-    names = [f"{moment} {question}" for moment in at for question in questions]
-    rows = rows_of(pd.concat(said), [event.id for event in answers.events], names, labels)
-    return split_half(votes, weights, rows, seed)
 
 
 def _n_events(values: FloatArray) -> int:

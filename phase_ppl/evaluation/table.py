@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
@@ -178,14 +179,27 @@ class Answers:
         rows = self.rows.assign(**self.rows[own].where(known))
         return Answers(self.events, rows, self.world)
 
-    def array(self, kind: str, column: str, of: type = np.float64) -> FloatArray:
+    def array(
+        self, kind: str, column: str, of: type = np.float64, at: Sequence[float] = ()
+    ) -> FloatArray:
         """Return (event, question, label) a column's values for a kind of questions.
 
-        They are about the whole film.
+        They are about the whole film. With moments ``at`` they are (event, moment and question,
+        label), numbers about it until then; NaN: nobody judged the event then.
         """
-        n_labels = len(self.world.goals if kind == "goal" else RELATIONS)
-        values = self.whole.loc[self.whole["kind"] == kind, column].to_numpy(of)
-        return values.reshape(len(self.events), len(kinds_of(self.world)[kind]), n_labels)
+        labels = self.world.goals if kind == "goal" else RELATIONS
+        shape = len(kinds_of(self.world)[kind]), len(labels)
+        rows = self.rows[self.rows["at"].isin(at)] if at else self.whole
+        rows = rows[rows["kind"] == kind]
+        if not at:
+            return rows[column].to_numpy(of).reshape(len(self.events), *shape)
+        first = rows.iloc[:: max(math.prod(shape), 1)]
+        found = np.full((len(self.events), len(at), *shape), np.nan)
+        events = pd.Index([event.id for event in self.events]).get_indexer(first["event"])
+        found[events, pd.Index(at).get_indexer(first["at"])] = (
+            rows[column].to_numpy().reshape(len(first), *shape)
+        )
+        return found.reshape(len(self.events), len(at) * shape[0], shape[1])
 
     def parts(self, kind: str) -> dict[Place, BoolArray]:
         """Return where the metrics have a part of the answers -> which of (event, question) it is.
