@@ -23,7 +23,7 @@ from phase_ppl.world.errors import (
     shown,
     unknown_name,
 )
-from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
+from phase_ppl.world.event import Event, frame_shown
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import Printed, bars, plain, wrapped
@@ -335,17 +335,20 @@ class Prediction(Printed):
 def until_moments(
     post: EventPosterior, moments: Sequence[float]
 ) -> tuple[dict[float, dict[str, FloatArray]], str]:
-    """Return seconds of the film -> question -> probabilities, and :attr:`Prediction.hindsight`."""
+    """Return seconds of the film -> question -> probabilities, and :attr:`Prediction.hindsight`.
+
+    Each is of the frame then shown. Before 0.25 s that is the first; a model that is asked of the
+    film until then sees two, as every observation has.
+    """
     found = post.over_time()
     last, hindsight = found.sizes["time"] - 1, found.attrs.get("hindsight", "")
-    frames = {at: min(int(at / SHOWN_SECONDS_PER_FRAME + 1e-6), last) for at in moments}
     tables = {
         question: found[question].sel({f"{question}_is": list(labels)}).values
         for question, labels in questions_of(post.world).items()
     }
     of_moments = {
-        at: {question: table[frame] for question, table in tables.items()}
-        for at, frame in frames.items()
+        at: {question: table[min(frame_shown(at), last)] for question, table in tables.items()}
+        for at in moments
     }
     return of_moments, str(hindsight)
 

@@ -72,6 +72,11 @@ SHOWN_SECONDS_PER_FRAME: Final = 0.25
 MIN_FRAMES: Final = 2
 
 
+def frame_shown(seconds: float) -> int:
+    """Return the last frame, from 0, that the film has shown after so many of its seconds."""
+    return math.floor(seconds / SHOWN_SECONDS_PER_FRAME + 1e-6)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observation:
     """Observed trajectories of all entities of a world.
@@ -321,8 +326,8 @@ class Observation:
 
         Frames between two are drawn in the film, but come from both of them.
         """
-        shown = math.floor(seconds / SHOWN_SECONDS_PER_FRAME + 1e-6) + 1
-        return Observation(self.trajectory[: max(shown, MIN_FRAMES)], self.said)
+        shown = max(frame_shown(seconds) + 1, MIN_FRAMES)
+        return Observation(self.trajectory[:shown], self.said)
 
     @property
     def duration(self) -> str:
