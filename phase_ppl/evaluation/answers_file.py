@@ -54,6 +54,7 @@ _MILLISECONDS: Final = 300.0
 """Median from which times are taken as milliseconds: five minutes for one answer, or a moment."""
 
 _MOST: Final = 1e15  # of ratings, seconds and milliseconds
+_AS_GOOD: Final = 1e-4  # log scores of temperatures, nats an answer, that count as the same
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
 _PAIR: Final = ["participant", "event", "question", "at"]
@@ -423,33 +424,35 @@ def _graded(
         left_out["graded answers of zeros only"] = n
         changed = table.assign(value=found).drop(index=empty).reset_index(drop=True)
         return changed, "ratings were divided by their sum, answer by answer"
-    fitted = temperature is None
+    how = "given"
     if temperature is None:
-        temperature = _temperature(ratings)
+        temperature, how = _temperature(ratings)
     positive_number("temperature", temperature)
     most = ratings.groupby(_PAIR, dropna=False, sort=False)["rating"].transform("max")
     masses = np.exp((ratings["rating"] - most) / temperature)
     groups = masses.groupby([ratings[name] for name in _PAIR], dropna=False, sort=False)
     found[rated] = masses / groups.transform("sum")
-    how = "fitted: ratings predict the others' leading answers best so" if fitted else "given"
     said = f"ratings became shares by softmax, temperature {temperature:.3g} ({how})"
     return table.assign(value=found), said
 
 
-def _temperature(ratings: pd.DataFrame) -> float:
-    """Return the temperature at which ratings best predict the leading answers of other people.
+def _temperature(ratings: pd.DataFrame) -> tuple[float, str]:
+    """Return the temperature at which ratings best predict other people's leading answers, and how.
 
     It has the highest log score of them: each person's shares, for every other person's leading
-    answer (ties: shared) to the same question about the same event and moment.
+    answer (ties: shared) to the same question about the same event and moment. A label without a
+    number has no share, so others' answers with it are not predicted.
     """
     groups: list[tuple[FloatArray, FloatArray]] = []
     for _, group in ratings.groupby(["event", "question", "at"], dropna=False):
-        each = group.pivot_table("rating", "participant", "answer", dropna=False).fillna(0)
-        given = each.to_numpy(float)
+        each = group.pivot_table("rating", "participant", "answer", dropna=False)
+        given = each.fillna(-np.inf).to_numpy(float)
         if len(given) > 1:
             leads = (given == given.max(axis=1, keepdims=True)).astype(float)
             leads /= leads.sum(axis=1, keepdims=True)
-            groups.append((given, (leads.sum(axis=0) - leads) / (len(given) - 1)))
+            others = (leads.sum(axis=0) - leads) / (len(given) - 1)
+            groups.append((given, np.where(np.isfinite(given), others, 0)))
+    groups = [one for one in groups if one[1].any()]
     if not groups:
         raise InvalidSettingError(
             "graded='softmax' fits its temperature to people who rated the same question of an "
@@ -458,11 +461,19 @@ def _temperature(ratings: pd.DataFrame) -> float:
 
     def loss(log_temperature: float) -> float:
         logs = [special.log_softmax(given / np.exp(log_temperature), axis=1) for given, _ in groups]
-        return -sum(float((one * of).sum()) for one, (_, of) in zip(logs, groups, strict=True))
+        pairs = zip(logs, groups, strict=True)
+        return -sum(float(one[of > 0] @ of[of > 0]) for one, (_, of) in pairs)
 
     scale = max(float(given.max()) for given, _ in groups) or 1.0
-    bounds = np.log(scale) + np.log([1e-3, 1e2])
-    return float(np.exp(optimize.minimize_scalar(loss, bounds=bounds, method="bounded").x))
+    low, high = np.log(scale) + np.log([1e-3, 1e2])
+    best = float(optimize.minimize_scalar(loss, bounds=(low, high), method="bounded").x)
+    how = "fitted: ratings predict the others' leading answers best so"
+    least = loss(best) + _AS_GOOD * sum(of.sum() for _, of in groups)
+    if loss(low) <= least:
+        how += ", and so do all lower ones: the highest rating has the whole share"
+    if loss(high) <= least:
+        how += ", and so do all higher ones: all shares are alike"
+    return float(np.exp(best)), how
 
 
 def summed_up(table: pd.DataFrame, world: World) -> str:

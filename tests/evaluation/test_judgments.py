@@ -337,9 +337,33 @@ def test_temperature_is_fitted_to_what_others_chose() -> None:
     assert temperature(other) == pytest.approx(3 * temperature(one), rel=0.01)
     np.testing.assert_allclose(one.table["value"], other.table["value"], atol=0.002)
     with pytest.raises(InvalidSettingError, match="temperature=20 sets it"):
-        load_judgments(
-            pd.DataFrame([["p", "a", 1, 2, 3]], columns=SLIDERS.split(",")), graded="softmax"
-        )
+        sliders([1, 2, 3])
+
+
+def sliders(*ratings: list[float | None]) -> ppl.Study:
+    rows = [[f"p{who}", "a", *given] for who, given in enumerate(ratings)]
+    return load_judgments(pd.DataFrame(rows, columns=SLIDERS.split(",")), graded="softmax")
+
+
+def test_a_label_without_a_number_is_not_fitted_to() -> None:
+    """Others' answers with it say nothing of the temperature, as it has no share at any."""
+    rated: list[list[float | None]] = 2 * [[70, 50, 30], [45, 60, 30], [50, 40, 30], [60, 20, 30]]
+    found, expected = (
+        re.search(r"temperature ([\d.]+) \(.* so\)", sliders(*given).summary)[1]  # type: ignore[index]
+        for given in ([*rated, [None, 50, 60]], [*rated, [0, 50, 60]])
+    )
+    # a rating of 0 has a share, and so is wrong about the others
+    assert float(found) < float(expected)
+    shares = sliders([70, 20, None], [60, 30, 10]).judgments["a"].responses["p0"]["relation"]
+    assert set(shares) == {"friendly", "neutral"}
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [([70, 20, 10], "so do all lower ones: the"), ([10, 20, 70], "so do all higher ones: all")],
+)
+def test_a_fit_that_ends_nowhere_is_told(other: list[float | None], said: str) -> None:
+    assert said in sliders([70, 20, 10], other).summary
 
 
 @pytest.mark.parametrize(
