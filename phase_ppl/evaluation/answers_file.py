@@ -56,6 +56,7 @@ _MILLISECONDS: Final = 300.0
 _MOST: Final = 1e15  # of ratings, seconds and milliseconds
 _AS_GOOD: Final = 1e-4  # log scores of temperatures, nats an answer, that count as the same
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
+_FIELDS: Final = ("participant", "video", *COLUMNS[2:])
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
 _PAIR: Final = ["participant", "event", "question", "at"]
 
@@ -72,8 +73,7 @@ class _Column(NamedTuple):
 @functools.lru_cache(8)
 def _known(world: World) -> Mapping[str, _Column]:
     """Return name -> column, of all that have a meaning."""
-    fields = ("participant", "video", "question", "answer", "value", "at", "response_time")
-    found = {name: _Column(name) for name in (*fields, "confidence")}
+    found = {name: _Column(name) for name in (*_FIELDS, "confidence")}
     found |= {"event": found["video"], "rt": found["response_time"]}
     labels = Counter(label for of in questions_of(world).values() for label in of)
     for question, answers in questions_of(world).items():
@@ -187,7 +187,10 @@ class _Reader:
     def header(self, header: Sequence[str]) -> None:
         """Note what the columns mean (InvalidEventError, UnknownNameError: it cannot be told)."""
         own = {name: self._column(name) for name in header}
-        spread = not any(column and column.field == "video" for column in own.values())
+        named = {column.field for column in own.values() if column}
+        spread = "video" not in named
+        if "rating" in own and own["rating"] is None and "value" in named:
+            own["rating"] = _Column("")  # of a study's table, whose values are shares of it
         faults = Faults()
         for name in dict.fromkeys(header):
             column = own[name] or (self._of_a_video(name) if spread else None)
@@ -274,8 +277,7 @@ class _Reader:
         raise UnknownNameError(f"{error} ({why}); names={{{name!r}: None}} leaves it out")
 
     def _allowed(self) -> tuple[str, ...]:
-        fields = ("participant", "video", "question", "answer", "value", "at", "response_time")
-        return (*fields, *questions_of(self.world), "confidence")
+        return (*_FIELDS, *questions_of(self.world), "confidence")
 
     # --- a row
 
