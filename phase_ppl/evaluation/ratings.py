@@ -183,7 +183,10 @@ class Judgments:
         found = cls(counts, 0, world=world)
         if given.responses is not None:
             rows = _by_participant(given.responses)
-            found = cls.of_responses(rows.pop(None, {}), world, cast("Any", rows))
+            of_whole = rows.pop(None, None)
+            found = cls.of_responses(of_whole or {}, world, cast("Any", rows))
+            if rows and of_whole is None:  # who judged the whole film is unknown
+                found = dataclasses.replace(found, counts=counts)
             graded = {q for q, of_question in found.counts.items() if of_question.dtype == float}
             for question, values in counts.items():
                 if question not in graded and not np.array_equal(
@@ -192,18 +195,19 @@ class Judgments:
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
         totals = [round(float(values.sum())) for values in found.counts.values()]
         most, n_raters = max(totals, default=0), given.n_raters
-        if n_raters is not None and not found.moments and not most <= n_raters <= sum(totals):
-            raise InvalidEventError(
-                f"n_raters is {n_raters}, but there are {most} votes on a question, {sum(totals)} "
-                "in all"
-            )
-        named = bool(found.responses or found.moments)
-        if named and n_raters not in (None, found.n_raters):
-            raise InvalidEventError(
-                f"n_raters is {n_raters}, but {found.n_raters} people responded"
-            )
-        if not named:
-            found = dataclasses.replace(found, n_raters=most if n_raters is None else n_raters)
+        if found.responses or (found.moments and not totals):
+            if n_raters not in (None, found.n_raters):
+                raise InvalidEventError(
+                    f"n_raters is {n_raters}, but {found.n_raters} people responded"
+                )
+        else:
+            least, total = max(most, found.n_raters), sum(totals) + found.n_raters
+            if n_raters is not None and not least <= n_raters <= total:
+                raise InvalidEventError(
+                    f"n_raters is {n_raters}, but there are {most} votes on a question, "
+                    f"{total} in all"
+                )
+            found = dataclasses.replace(found, n_raters=least if n_raters is None else n_raters)
         return found if totals or found.moments else None
 
     def to_record(self) -> dict[str, Any]:

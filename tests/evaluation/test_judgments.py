@@ -574,6 +574,23 @@ def test_counts_of_the_published_videos_are_read() -> None:
     assert not judgments.responses
 
 
+def test_votes_on_the_film_without_names_stand_beside_names_at_moments() -> None:
+    said = [{"participant": who, "at": 1, "relation": "friendly"} for who in ("a", "b")]
+    record = {"counts": {"relation": {"neutral": 3}}, "responses": said}
+    for more, n_raters in (({}, 3), ({"n_raters": 5}, 5)):
+        found = Judgments.from_record({**record, **more})
+        assert found.n_raters == n_raters
+        assert found.counts["relation"].tolist() == [0, 3, 0]
+        assert not found.responses
+        assert found.moments[1].counts["relation"].tolist() == [2, 0, 0]
+        assert Judgments.from_record(found.to_record()).to_record() == found.to_record()
+    for n_raters in (2, 6):
+        with pytest.raises(InvalidEventError, match=f"n_raters is {n_raters}, .* 3 votes on"):
+            Judgments.from_record({**record, "n_raters": n_raters})
+    with pytest.raises(InvalidEventError, match="counts of relation contradict the responses"):
+        Judgments.from_record({**record, "responses": [*said, *ONE["responses"]]})
+
+
 def test_record_of_nobody_is_none() -> None:
     nobody = {"relation_counts": {"friendly": 0, "neutral": 0, "adversarial": 0}, "n_raters": 0}
     none = {"relation_counts": None, "n_raters": None}
