@@ -29,10 +29,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binom, kstest
+from scipy.stats import kstest
 
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.tree import are_weighted
@@ -67,7 +66,6 @@ from phase_ppl.world.space import space_of
 from phase_ppl.world.worlds import named
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from phase_ppl.models.model import Model
@@ -91,7 +89,6 @@ _ROUNDING: Final = 1e-9  # of sums of scores, nats
 _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
-_BAND: Final = (0.005, 0.995)  # between these quantiles lie 99 % of the bars
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -165,25 +162,17 @@ class Calibration(Printed):
         write_bytes(path, (".csv",), self.table.to_csv(index=False).encode())
         return Path(path)
 
-    @in_style
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw ranks and reliability of every quantity; with ``path`` also write the figure."""
-        note = (
-            "Left: how many videos have the truth at this place among draws of the posterior, and "
-            "the band that holds 99 % of the bars of a calibrated model. Right: shares of right "
-            "top answers, or of central intervals that hold the true strength, with 95 % "
-            "intervals; the line is a calibrated model. "
-        )
+        from phase_ppl.evaluation.figures.calibration import ranks_and_reliability
+
+        ranks = {
+            name: np.histogram(part["place"], max(3, _n_bars(len(part))), (0.0, 1.0))[0]
+            for name, part in self._parts.items()
+        }
+        reliability = {name: self.reliability(name) for name in self._parts}
         title = f"{self._name}: {len(self.evaluation.predictions)} videos drawn from the prior"
-        height = 1.0 + 1.55 * len(self._parts) + 0.12 * sum(len(n) for n in self.notes) / 100
-        figure = new_figure(6.4, height, title, note + " ".join(self.notes))
-        grid = figure.subplots(len(self._parts), 2, squeeze=False, width_ratios=(1.7, 1))
-        for (left, right), (quantity, part) in zip(grid, self._parts.items(), strict=True):
-            _draw_ranks(left, quantity, part["place"].to_numpy())
-            _draw_reliability(right, self.reliability(quantity))
-        grid[-1, 0].set_xlabel("place of the truth")
-        grid[-1, 1].set_xlabel("probability said")
-        return written(figure, path)
+        return ranks_and_reliability(title, ranks, reliability, self.notes, path)
 
     def __str__(self) -> str:
         n, failed = len(self.evaluation.predictions), len(self.evaluation.failures)
@@ -335,7 +324,7 @@ def calibrate(
         )  # fmt: skip
         assert evaluation.folder is not None, "it is kept"
         rows: list[dict[str, Any]] = []
-        notes: dict[str, None] = {}
+        notes: list[str] = []
         for name, prediction in evaluation.predictions.items():
             said = read_json(evaluation.folder.folder_of(name) / DRAWS)
             place = int(name.removeprefix(_ID))
@@ -343,12 +332,14 @@ def calibrate(
             rows += _ranked(events[place], prediction, said, rng)
             tempering = said.get("", {}).get("tempering", "")
             if "tempered" in tempering:
-                notes[f"{tempering.capitalize()}, so less sure than it should be is expected"] = (
-                    None
+                notes.append(
+                    f"{tempering.capitalize()}, so less sure than it should be is expected"
                 )
     if out is None:
         evaluation = dataclasses.replace(evaluation, folder=None)
-    found = Calibration(pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(notes))
+    found = Calibration(
+        pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(dict.fromkeys(notes))
+    )
     if out is not None:
         found.save(Path(out) / TABLE)
     return found
@@ -523,6 +514,8 @@ def _ranked(
     event: Event, prediction: Prediction, said: Mapping[str, Any], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """Return the rows of the table about a video."""
+    from phase_ppl.models.effective import place_of_level
+
     assert event.truth is not None, "it was drawn"
     truth, rows = true_answers(event), []
     for question, p in prediction.probabilities.items():
@@ -542,16 +535,10 @@ def _ranked(
     for name, strength in strengths:
         if name in said and strength is not None:
             grid = said[name]["grid"]
-            value = strength if grid is None else _nearest(np.array(grid), strength)
+            # the level that stands for it
+            value = strength if grid is None else grid[place_of_level(strength, np.array(grid))]
             rows.append(_row(event, name, np.array(said[name]["drawn"]), value, rng))
     return rows
-
-
-def _nearest(grid: FloatArray, strength: float) -> float:
-    """Return the level that stands for a strength."""
-    from phase_ppl.models.effective import place_of_level
-
-    return float(grid[place_of_level(strength, grid)])
 
 
 def _row(
@@ -596,25 +583,3 @@ def _p_score(p: FloatArray, gain: float) -> float:
             drawn[place] += of[true] - one @ of
     tails = (drawn[0] >= gain - _ROUNDING).sum(), (drawn[1] <= gain + _ROUNDING).sum()
     return min(1.0, 2 * (int(min(tails)) + 1) / (_DRAWN + 1))
-
-
-def _draw_ranks(axes: Axes, quantity: str, place: FloatArray) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    n = max(3, _n_bars(len(place)))
-    counts, ends = np.histogram(place, n, (0.0, 1.0))
-    axes.axhspan(*binom.ppf(_BAND, len(place), 1 / n), color="0.9", lw=0)
-    axes.axhline(len(place) / n, color="0.6", lw=0.8)
-    axes.bar((ends[1:] + ends[:-1]) / 2, counts, 0.9 / n, color=COLOURS[0])
-    axes.set(xlim=(0, 1), ylabel="videos")
-    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    axes.set_title(quantity.replace("_", " of ") if quantity.startswith("strength") else
-                   f"probability of {quantity.replace('_', ' of ')}")  # fmt: skip
-
-
-def _draw_reliability(axes: Axes, found: pd.DataFrame) -> None:
-    axes.plot([0, 1], [0, 1], color="0.6", lw=0.8)
-    axes.vlines(found["probability"], found["low"], found["high"], COLOURS[0], lw=1.2)
-    axes.plot(found["probability"], found["share"], "o", ms=4, color=COLOURS[0], clip_on=False)
-    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
-    axes.set_ylabel("share")
