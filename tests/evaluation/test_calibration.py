@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,9 @@ from phase_ppl.evaluation.calibration import DOUBTFUL, _p_score
 from phase_ppl.evaluation.doubt import log_probabilities
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError
-from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Hypothesis
+from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.toys import START
-from tests.inference.toy import (
-    ALPHA_CODES,
-    ALPHA_MASS,
-    GREEN_GOALS,
-    GREEN_MASS,
-    RED_GOALS,
-    RED_MASS,
-    few_goals,
-)
+from tests.inference.toy import all_of_few_goals, few_goals
 
 SCENE = ppl.Scene(start=START, radius=np.full(4, 0.8))
 SPREAD = 1.0
@@ -48,25 +39,12 @@ def appear(scene: ppl.Scene, hypothesis: Any, rng: np.random.Generator) -> Itera
         yield frame
 
 
-@functools.cache
-def hypotheses() -> list[tuple[float, Hypothesis]]:
-    axes = (
-        zip(RED_GOALS, RED_MASS, strict=True),
-        zip(GREEN_GOALS, GREEN_MASS, strict=True),
-        zip(ALPHA_CODES, ALPHA_MASS, strict=True),
-    )
-    return [
-        (r * g * a, Hypothesis(red, green, ALPHAS[alpha]))
-        for (red, r), (green, g), (alpha, a) in itertools.product(*axes)
-    ]
-
-
 def by_sum(spread: float, scene: ppl.Scene, observation: Any, seed: int) -> dict[str, FloatArray]:
     """Return the exact posterior, were the spread this one."""
     seen = observation.trajectory[1:, :2, :2]
     found = [
         (np.log(mass) - 0.5 * ((seen - means(h.effective_goals)) ** 2).sum() / spread**2, h)
-        for mass, h in hypotheses()
+        for mass, h in all_of_few_goals()
     ]
     best = max(log for log, _ in found)
     answers = {"goal_red": np.zeros(36), "goal_green": np.zeros(36), "relation": np.zeros(3)}
@@ -80,10 +58,7 @@ def by_sum(spread: float, scene: ppl.Scene, observation: Any, seed: int) -> dict
 
 
 def reader(spread: float) -> Any:
-    def read(scene: ppl.Scene, observation: Any, seed: int) -> dict[str, FloatArray]:
-        return by_sum(spread, scene, observation, seed)
-
-    return read
+    return functools.partial(by_sum, spread)
 
 
 MODEL = ppl.Model(prior=few_goals, simulator=appear)

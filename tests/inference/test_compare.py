@@ -32,17 +32,12 @@ from phase_ppl.inference.reference import (
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, RELATIONS, Hypothesis
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.analysis.factory import posterior_of
 from tests.inference.runs import EVENT, MODEL, infer
 from tests.inference.toy import (
-    ALPHA_CODES,
-    ALPHA_MASS,
-    GREEN_GOALS,
-    GREEN_MASS,
-    RED_GOALS,
-    RED_MASS,
+    all_of_few_goals,
     few_goals,
     never_called,
     walkers,
@@ -356,14 +351,11 @@ def exact_pairs() -> np.ndarray:
     """The posterior of the effective goals under ``few_goals`` and ``straight``."""
     mass = np.zeros((36, 36))
     observed = EVENT.observation.positions
-    masses = ((RED_GOALS, RED_MASS), (GREEN_GOALS, GREEN_MASS), (ALPHA_CODES, ALPHA_MASS))
-    sites = [list(zip(*one, strict=True)) for one in masses]
-    for (red, p), (green, q), (alpha, s) in itertools.product(*sites):
-        h = Hypothesis(red, green, ALPHAS[alpha])
+    for prior, h in all_of_few_goals():
         frames = itertools.islice(straight(EVENT.scene, h, np.random.default_rng(0)), len(observed))
         off = np.array(list(frames))[..., :2] - observed
         errors = np.linalg.norm(off.reshape(len(observed), -1), axis=1)
-        mass[h.effective_goals] += p * q * s * np.exp(-RadialLikelihood().beta * errors.sum())
+        mass[h.effective_goals] += prior * np.exp(-RadialLikelihood().beta * errors.sum())
     return mass / mass.sum()
 
 

@@ -49,6 +49,17 @@ def few_goals() -> None:
     sites.strengths()
 
 
+def all_of_few_goals() -> list[tuple[float, Hypothesis]]:
+    """Return the eighteen combinations of ``few_goals`` with their prior masses."""
+    axes = ((RED_GOALS, RED_MASS), (GREEN_GOALS, GREEN_MASS), (ALPHA_CODES, ALPHA_MASS))
+    return [
+        (p * q * s, Hypothesis(red, green, ALPHAS[alpha]))
+        for (red, p), (green, q), (alpha, s) in itertools.product(
+            *(zip(*one, strict=True) for one in axes)
+        )
+    ]
+
+
 def characters() -> None:
     """The goals of ``few_goals`` and sites of one's own: a vector, above a bounded number whose
     bounds it sets, above alpha; and one below a goal."""

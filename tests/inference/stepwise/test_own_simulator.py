@@ -21,14 +21,12 @@ from phase_ppl.inference.table_run import ReadTable
 from phase_ppl.models import roles, sites
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, all_ways
+from phase_ppl.world.hypothesis import Hypothesis, all_ways
 from tests.inference.toy import (
-    ALPHA_CODES,
-    ALPHA_MASS,
     GREEN_GOALS,
     GREEN_MASS,
     RED_GOALS,
-    RED_MASS,
+    all_of_few_goals,
     few_goals,
     walkers,
 )
@@ -107,15 +105,11 @@ def test_by_its_density_the_posterior_is_the_sum_over_all_hypotheses(
     levels, masses = (150.0, 300.0, 450.0, 600.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
     of_red = dict[str, float]()
     friendly = strength = early = total = total_early = 0.0
-    for (r, p), (g, q), (a, s), (k, u), (m, v) in itertools.product(
-        zip(RED_GOALS, RED_MASS, strict=True),
-        zip(GREEN_GOALS, GREEN_MASS, strict=True),
-        zip(ALPHA_CODES, ALPHA_MASS, strict=True),
-        zip(levels, masses, strict=True),
-        zip(levels, masses, strict=True),
-    ):
-        h = Hypothesis(r, g, ALPHAS[a], k, m)
-        prior = p * q * s * u * v
+    strengths = list(zip(levels, masses, strict=True))
+    for (p, goals), (k, u), (m, v) in itertools.product(all_of_few_goals(), strengths, strengths):
+        strengths_of = {"strength_red": k, "strength_green": m}
+        h = Hypothesis.from_dict({**goals.to_dict(), **strengths_of})
+        prior = p * u * v
         mass = prior * np.exp(log_likelihood(EVENT, h))
         goal = ppl.GOALS[h.effective_goals[0]]
         of_red[goal] = of_red.get(goal, 0.0) + mass
