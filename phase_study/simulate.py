@@ -54,7 +54,6 @@ _BY_GOAL: Final[Mapping[str, Mapping[str, float]]] = {
 """Probability that scripted people choose a label, by the scenario and by a goal they see.
 These are guesses of ours: nobody published such shares."""
 
-_FRAME: Final = 0.25  # seconds of film
 _RATING: Final = (4.0, 0.8)
 """Mean and standard deviation of scripted ratings; the paper's means are 4.06 and 3.98."""
 
@@ -156,7 +155,7 @@ def _asked_at(event: ppl.Event, moments: Sequence[float]) -> ppl.Event:
 
     A model is then asked about these. The answers themselves are not used.
     """
-    seconds = (event.observation.n_frames - 1) * _FRAME
+    seconds = (event.observation.n_frames - 1) * ppl.SHOWN_SECONDS_PER_FRAME
     question, labels = next(iter(ppl.questions_of(event.scene.world).items()))
     rows = [
         {"participant": "nobody", "at": at, question: labels[0]} for at in moments if at < seconds
