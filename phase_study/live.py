@@ -32,7 +32,7 @@ from phase_study.room import Message, Room, Seat
 from phase_study.server import STATIC, Rates, application, same_origin
 from phase_study.settings import Settings, template
 from phase_study.sockets import talk
-from phase_study.study import check_host, names_of, serve
+from phase_study.study import Served, names_of
 
 PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 """Who the other agents are: the planner with a goal of its own, with mine, or against it; a second
@@ -68,7 +68,7 @@ class Wishes:
         return found
 
 
-class Live:
+class Live(Served):
     """A live game: steer an agent in the browser, and see what the model believes you want.
 
     Example:
@@ -113,34 +113,8 @@ class Live:
 
     # --- its beginning and end --------------------------------------------------------------------
 
-    def run(
-        self,
-        port: int = 8000,
-        host: str = "127.0.0.1",
-        url: str = "",
-        *,
-        ready: Callable[[str], object] = print,
-        keep: Callable[[Any], object] = lambda server: None,
-    ) -> None:
-        """Serve the game until it is interrupted.
-
-        Args:
-            port: port at which to listen; 0: a free one.
-            host: address at which to listen; by default this machine only.
-            url: address by which people reach it, as in "https://game.example.org".
-            ready: called with the address once people can come.
-            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
-
-        Raises:
-            InvalidSettingError: the url is invalid, or missing for a host such as 0.0.0.0.
-            OutputError: another server uses the port.
-        """
-        names, _ = names_of(url, host)
-        check_host(host, url)
-        serve(self.app(names), port, host, url, ready, keep)
-
-    def app(self, names: Sequence[str] = ()) -> Starlette:
-        """Return the application, which answers to ``names`` beside those of this machine."""
+    def app(self, url: str = "", host: str = "127.0.0.1") -> Starlette:
+        """Return the application; it answers to the names of this machine, url and host."""
 
         @contextlib.asynccontextmanager
         async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -159,7 +133,7 @@ class Live:
             Route("/film/{number:int}.mp4", self._film),
             WebSocketRoute("/socket/{seat:int}", self._socket),
         ]
-        app = application(routes, lifespan, names)
+        app = application(routes, lifespan, names_of(url, host)[0])
         app.state.opening = self.opening
         return app
 

@@ -32,7 +32,7 @@ import phase_ppl as ppl
 from phase_study import plan
 from phase_study.settings import Settings
 from phase_study.store import FILE, Store
-from phase_study.study import CLIPS_FOLDER, VIDEOS, Study
+from phase_study.study import CLIPS_FOLDER, VIDEOS, Served, Study
 
 AT_ONCE: Final = 20  # participants at the same time
 
@@ -189,8 +189,8 @@ def copied(study: Study) -> Iterator[Study]:
 
 
 @contextlib.contextmanager
-def serving(study: Study) -> Iterator[str]:
-    """Serve a study from a thread of this process; yield its address."""
+def serving(study: Served) -> Iterator[str]:
+    """Serve a study, or a live game, from a thread of this process; yield its address."""
     told: queue.SimpleQueue[str] = queue.SimpleQueue()
     server: list[Any] = []
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_study.live import Live
+from phase_study.simulate import serving
 from tests.browser import needs_browser, running_browser
 from tests.simulator.toys import wait_until
 from tests.study.players import near_goals, press
@@ -129,35 +128,26 @@ def test_a_second_player_steers_another_agent_of_any_world() -> None:
 
 @needs_browser
 def test_the_page_shows_what_is_believed_as_keys_are_pressed() -> None:
-    told: queue.SimpleQueue[str] = queue.SimpleQueue()
-    server: list[Any] = []
     scene = near_goals(start=[[12, 14, 0], [20, 19.5, -1.5], [12, 7, 0], [20, 7, 0]]).scene
-    how: dict[str, Any] = {"ready": told.put, "keep": server.append}
-    thread = threading.Thread(target=Live(scene).run, args=(0,), kwargs=how, daemon=True)
-    thread.start()
     faults: list[str] = []
-    try:
-        with running_browser() as browser:
-            page = browser.new_page(viewport={"width": 390, "height": 844})
-            page.on("pageerror", lambda error: faults.append(str(error)))
-            page.goto(told.get(timeout=60))
-            wait_until(lambda: page.evaluate("Boolean(window.live?.readings.length)"), 120)
-            first = page.evaluate("live.readings[0].goals[0]")
-            page.keyboard.down("w")
-            wait_until(lambda: page.evaluate("live.readings.length > 4"), 60)
-            page.keyboard.up("w")
-            page.get_by_role("button", name="Pause").click()
-            page.get_by_text("What if").first.click()
-            page.get_by_text("Paused.").wait_for()
-            now = page.evaluate("live.readings.at(-1).goals[0]")
-            assert np.abs(np.subtract(first, now)).sum() > 0.1, "it has learnt something"
-            assert sum(now) == pytest.approx(1, abs=0.01)
-            assert page.evaluate("live.latency.reading.length") > 0
-            page.evaluate(AXE)
-            found = page.evaluate("tags => axe.run({ runOnly: tags })", RULES)["violations"]
-            assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
-            assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    finally:
-        server[0].should_exit = True
-        thread.join()
+    with serving(Live(scene)) as address, running_browser() as browser:
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(address)
+        wait_until(lambda: page.evaluate("Boolean(window.live?.readings.length)"), 120)
+        first = page.evaluate("live.readings[0].goals[0]")
+        page.keyboard.down("w")
+        wait_until(lambda: page.evaluate("live.readings.length > 4"), 60)
+        page.keyboard.up("w")
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_text("What if").first.click()
+        page.get_by_text("Paused.").wait_for()
+        now = page.evaluate("live.readings.at(-1).goals[0]")
+        assert np.abs(np.subtract(first, now)).sum() > 0.1, "it has learnt something"
+        assert sum(now) == pytest.approx(1, abs=0.01)
+        assert page.evaluate("live.latency.reading.length") > 0
+        page.evaluate(AXE)
+        found = page.evaluate("tags => axe.run({ runOnly: tags })", RULES)["violations"]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert faults == []
