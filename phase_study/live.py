@@ -444,8 +444,11 @@ class Live(Served):
                 page.tell({"t": how, "number": number, "text": text})
 
     def _make(self, what: str, given: Mapping[str, Any]) -> None:
-        if self._unread:
-            self.seats[0].tell({"t": "refused", "text": f"the model cannot read: {self._unread}"})
+        why = f"the model cannot read: {self._unread}" if self._unread else ""
+        if self._making:
+            why = "another film is being made; wait for it"
+        if why:
+            self.seats[0].tell({"t": "refused", "text": why})
             return
         number = next(self._numbers)
         self._making[number] = path = self._folder / f"{number}.mp4"

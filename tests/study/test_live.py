@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
+from phase_study import reader
 from phase_study.live import Live
 from phase_study.simulate import serving
 from tests.browser import needs_browser, running_browser
@@ -92,6 +95,8 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "read", lambda found: found["frame"] == 2)
             socket.send_json({"t": "film"})
             until(socket, "making")
+            socket.send_json({"t": "film"})
+            assert "is being made" in until(socket, "refused")["text"]
             pid = game._process.pid
             assert pid is not None
             os.kill(pid, signal.SIGKILL)
@@ -104,6 +109,23 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "unread")  # a page that is opened later is told
             socket.send_json(wishes())
             until(socket, "reading")
+
+
+def test_a_film_that_fails_does_not_end_the_reader(tmp_path: Path) -> None:
+    here, there = multiprocessing.Pipe()
+    thread = threading.Thread(target=reader.serve, args=(there,))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signal, "signal", lambda *given: None)  # for a thread it is not allowed
+        here.send(("make", 1, "film", {"path": tmp_path / "early.mp4"}))
+        here.send(("begin", 0, near_goals().scene, 0))
+        here.send(("make", 2, "film", {"path": None}))
+        here.send(("frame", 0, near_goals().scene.start))
+        thread.start()
+        told = [here.recv() for _ in range(3)]
+    here.close()
+    thread.join()
+    assert [one[0] for one in told] == ["failed", "failed", "reading"]
+    assert [one[1] for one in told[:2]] == [1, 2]
 
 
 def test_a_second_player_steers_another_agent_of_any_world() -> None:
