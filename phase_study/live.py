@@ -466,7 +466,9 @@ class Live(Served):
             raise HTTPException(409, "nothing has happened yet")
         path = self._folder / "event.json"
         ppl.save_event(self.event(), path)
-        return FileResponse(path, media_type="application/json", filename="live.json")
+        # all of it at once: the next one that asks has the same file
+        said = {"Content-Disposition": 'attachment; filename="live.json"'}
+        return Response(path.read_bytes(), headers=said, media_type="application/json")
 
     def event(self) -> ppl.Event:
         """Return the game so far; without truth if somebody in it has no goal."""
