@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import itertools
 import math
 import tempfile
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -68,6 +70,11 @@ class Wishes:
         return found
 
 
+def _holds(scene: ppl.Scene, agent: int, goal: str, frame: NDArray[np.float64]) -> bool:
+    """Return whether an agent's goal is true in a frame, (entity, [x, y, angle])."""
+    return ppl.goals.is_true(ppl.goals.goal_literal(goal, agent, scene.world), frame, scene)
+
+
 class Live(Served):
     """A live game: steer an agent in the browser, and see what the model believes you want.
 
@@ -101,7 +108,6 @@ class Live(Served):
         self.opening: list[Callable[[], Any]] = []
         self._rates = Rates()
         self._wishes = Wishes()
-        self._scene: ppl.Scene | None = None
         self._numbers = itertools.count()
         self._game = -1
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -142,7 +148,7 @@ class Live(Served):
         self._sender = ThreadPoolExecutor(1, "to the reader")
         self._start_reader()
         self._tell("warm up", self._drawn())
-        self._begin(self._wishes)
+        self._begin(self._wishes, self._drawn())
 
     async def _close(self) -> None:
         for task in self._tasks:
@@ -175,26 +181,20 @@ class Live(Served):
             scene = self._scenes.random_scene(self._rng)
         return self._settings.scene(scene)
 
-    def _goal(self, agent: int, besides: Sequence[str] = ()) -> str:
+    def _goal(self, scene: ppl.Scene, agent: int, besides: Sequence[str] = ()) -> str:
         """Draw a goal that takes doing: its agent has not reached it yet."""
-        assert self._scene is not None
         goals = [goal for goal, _ in plan.goal_question(self.world, agent, False)["options"]]
-        away = [goal for goal in goals if goal not in besides and not self._holds(agent, goal)]
+        away = [
+            goal for goal in goals
+            if goal not in besides and not _holds(scene, agent, goal, scene.start)
+        ]  # fmt: skip
         return str(self._rng.choice(away or goals))
 
-    def _holds(self, agent: int, goal: str, frame: Any = None) -> bool:
-        assert self._scene is not None
-        literal = ppl.goals.goal_literal(goal, agent, self.world)
-        poses = self._scene.start if frame is None else frame
-        return ppl.goals.is_true(literal, poses, self._scene)
-
-    def _begin(self, wishes: Wishes) -> None:
+    def _begin(self, wishes: Wishes, scene: ppl.Scene) -> None:
         """Begin a game, which waits for the first key (errors as of ``Hypothesis.of``)."""
-        if self._scene is None or wishes.new_scene:
-            self._scene = self._drawn()
         me, agents = wishes.agent, self.world.agents
         own, others = wishes.strengths
-        goals = {agents[me]: wishes.goal or self._goal(me)}
+        goals = {agents[me]: wishes.goal or self._goal(scene, me)}
         relation = {}
         for other, name in enumerate(agents):
             if other == me:
@@ -202,17 +202,16 @@ class Live(Served):
             if wishes.partner in ("helper", "hinderer"):
                 relation[name, agents[me]] = wishes.partner.removesuffix("er")
             else:
-                goals[name] = self._goal(other, tuple(goals.values()))
+                goals[name] = self._goal(scene, other, tuple(goals.values()))
         strength = {name: own if agent == me else others for agent, name in enumerate(agents)}
         roles = ppl.Hypothesis.of(self.world, goals, relation, strength)
         seed = int(self._rng.integers(2**31))
         self._wishes, self._roles, self._seed = wishes, roles, seed
-        self._enter(self._made())
+        self._enter(self._made(scene))
 
-    def _made(self) -> Room:
+    def _made(self, scene: ppl.Scene) -> Room:
         """Return a new room for the game."""
         wishes, n = self._wishes, len(self.world.agents)
-        assert self._scene is not None
         seats = [Seat() for _ in range(n)]
         seats[wishes.agent] = self.seats[0]
         if wishes.partner == "player" and n > 1:
@@ -221,7 +220,7 @@ class Live(Served):
         settings = dataclasses.replace(self._settings, view="all" if wishes.sees_all else "own")
         goals = [self.world.goals[goal] for goal in self._roles.effective_goals]
         return Room(
-            self._scene, goals, self._roles.strengths, settings, seats,
+            scene, goals, self._roles.strengths, settings, seats,
             computer=np.random.default_rng(self._seed) if plays else None,
         )  # fmt: skip
 
@@ -264,10 +263,10 @@ class Live(Served):
     def _look(self, room: Room) -> None:
         """Pause once the player's goal was reached and stays so."""
         me, frames = self._wishes.agent, room.frames
-        goal = room.goals[me]
-        if self._reached or len(frames) <= _STAYS or self._holds(me, goal):
+        holds = functools.partial(_holds, room.scene, me, room.goals[me])
+        if self._reached or len(frames) <= _STAYS or holds(room.scene.start):
             return
-        if all(self._holds(me, goal, frame) for frame in frames[-_STAYS:]):
+        if all(map(holds, frames[-_STAYS:])):
             self._reached = True
             self._pause("reached")
 
@@ -286,7 +285,7 @@ class Live(Served):
         game, steps = self._game, self.room.steps[:frame]
         if self._playing is not None:
             self._playing.cancel()
-        again = self._made()
+        again = self._made(self.room.scene)
         await asyncio.to_thread(again.repeat, steps)
         if self._game == game:  # no other game has begun meanwhile
             self._enter(again)
@@ -345,7 +344,8 @@ class Live(Served):
         match given:
             case {"t": "begin", "wishes": dict(asked)}:
                 try:
-                    self._begin(Wishes.of(asked, self.world))
+                    wishes = Wishes.of(asked, self.world)
+                    self._begin(wishes, self._drawn() if wishes.new_scene else self.room.scene)
                 except ppl.errors.InvalidSettingError as error:
                     self.seats[0].tell({"t": "refused", "text": str(error)})
                 except (ValueError, TypeError, LookupError):

@@ -111,6 +111,17 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "reading")
 
 
+def test_a_refused_game_leaves_the_scene_of_the_one_before() -> None:
+    game = Live()
+    with client_of(game) as client, connected(client) as socket:
+        before = game.room.scene
+        socket.send_json(wishes(goal="get to red agent", new_scene=True))
+        assert "names the red agent itself" in until(socket, "refused")["text"]
+        socket.send_json(wishes())
+        until(socket, "waiting", lambda found: game._wishes.partner == "nobody")
+        assert game.room.scene is before
+
+
 def test_a_film_that_fails_does_not_end_the_reader(tmp_path: Path) -> None:
     here, there = multiprocessing.Pipe()
     thread = threading.Thread(target=reader.serve, args=(there,))
