@@ -8,26 +8,25 @@ turns towards the next place on its way, drives there, grabs and carries.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import queue
-import threading
 import time
-from collections.abc import Iterator
 from typing import Any, Final
 
 import common
 import numpy as np
 from numpy.typing import NDArray
 from study_rooms import shares
+from tqdm import tqdm
 
 import phase_ppl as ppl
 from phase_study.live import Live
+from phase_study.simulate import serving
 from tests.browser import running_browser
+from tests.simulator.toys import wait_until
 
 LOOKS: Final = 24  # directions that a script considers
 _STEP: Final = 1.5  # units that it looks ahead
-_FACING: Final = 0.3  # rad off its way at which a script still drives
+_FACING: Final = 0.5  # rad off its way at which a script still drives
 
 
 class Script:
@@ -48,7 +47,7 @@ class Script:
         if subject != self.agent:
             if held != subject:
                 apart = np.hypot(*(poses[subject] - poses[self.agent])[:2])
-                near = apart < self.scene.radius[[subject, self.agent]].sum() * 1.25
+                near = apart < self.scene.radius[[subject, self.agent]].sum() + 0.25
                 if near and self._off(poses, poses[subject, :2]) < 0.5:
                     return "grab"
                 return self._towards(poses, poses[subject, :2])
@@ -68,7 +67,8 @@ class Script:
         for look in range(LOOKS):
             angle = 2 * math.pi * look / LOOKS
             there = here + _STEP * np.array([math.cos(angle), math.sin(angle)])
-            length = float(self.scene.rooms.path_distance(there, place))
+            distance = self.scene.rooms.path_distance  # far, where a wall is between
+            length = float(distance(here, there) + distance(there, place))
             clear = min((_from_segment(wall, there) for wall in self.scene.walls), default=9.0)
             edge = min(there[0] - x0, x1 - there[0], there[1] - y0, y1 - there[1])
             for gap in (clear, edge):
@@ -94,27 +94,9 @@ def _from_segment(wall: NDArray[np.float64], place: NDArray[np.float64]) -> floa
 NAMES: Final = {"forward": "w", "turn left": "q", "turn right": "e", "grab": " "}
 
 
-@contextlib.contextmanager
-def served(seed: int) -> Iterator[str]:
-    """Yield the address of a live game."""
-    told: queue.SimpleQueue[str] = queue.SimpleQueue()
-    server: list[Any] = []
-    how: dict[str, Any] = {"ready": told.put, "keep": server.append}
-    thread = threading.Thread(target=Live("PHASE", seed).run, args=(0,), kwargs=how)
-    thread.start()
-    yield told.get()
-    server[0].should_exit = True
-    thread.join()
-
-
-def wait(page: Any, script: str, seconds: float) -> bool:
-    """Wait until a script is true in the page; return whether it was in time."""
-    until = time.monotonic() + seconds
-    while not page.evaluate(f"Boolean({script})"):
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.05)
-    return True
+def wait(page: Any, script: str, seconds: float) -> None:
+    """Wait until a script is true in the page (AssertionError: it was not in time)."""
+    wait_until(lambda: page.evaluate(f"Boolean({script})"), seconds)
 
 
 def scene_of(page: Any) -> ppl.Scene:
@@ -138,11 +120,13 @@ def played(page: Any, rng: np.random.Generator, seconds: float = 75) -> dict[str
     ways = "live.begin({{ {} }})"
     game = page.evaluate("live.games")
     page.evaluate(ways.format("new_scene: true"))
-    wait(page, f"live.games > {game} && live.reads.length", 20)
+    wait(page, f"live.games > {game} && live.view.frames.length && live.state === 'waiting'", 20)
     scene = scene_of(page)
     goal = goal_for(scene, rng)
     page.evaluate(ways.format(f"goal: {goal!r}"))
-    wait(page, f"live.games > {game} + 1 && live.reads.length", 20)
+    wait(
+        page, f"live.games > {game} + 1 && live.view.frames.length && live.state === 'waiting'", 20
+    )
     script, down, frame = Script(scene, goal), "", -1
     until = time.monotonic() + seconds
     while time.monotonic() < until and not page.evaluate("live.state === 'paused'"):
@@ -180,11 +164,11 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0, metavar="N", help="default 0")
     given = options.parse_args()
     rng, rows = np.random.default_rng(given.seed), []
-    with served(given.seed) as address, running_browser() as browser:
+    with serving(Live("PHASE", given.seed)) as address, running_browser() as browser:
         page = browser.new_page()
         page.goto(address)
-        wait(page, "window.live?.isAwake", 180)
-        for _ in range(given.plays):
+        wait(page, "window.live?.readings.length", 180)
+        for _ in tqdm(range(given.plays), "plays", disable=None):
             rows.append(played(page, rng))
             print(rows[-1], flush=True)
         times = page.evaluate("live.latency")

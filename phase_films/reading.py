@@ -25,7 +25,6 @@ _OUTLINE: Final = (20, 20, 20)
 _TEXT: Final = (70, 70, 70)
 _DOUBTED: Final = (230, 0, 230)
 
-_SHOWN_SECONDS: Final = 0.25  # for which the package's films show a frame of an event
 _MIN_FRAMES: Final = 2  # of an event
 _MOST_LOST: Final = 0.25  # share of the frames in which a body may be lost
 _OTHER_START: Final = 0.5  # units from a scene's start that exceed errors of reading
@@ -232,11 +231,11 @@ def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatAr
             raise ppl.errors.InvalidEventError(
                 f"{name} does not say how fast it is: give frames_per_step="
             )
-        frames_per_step = film.fps * _SHOWN_SECONDS
+        frames_per_step = film.fps * ppl.SHOWN_SECONDS_PER_FRAME
         if frames_per_step < 1:
             raise ppl.errors.InvalidEventError(
                 f"{name} has {film.fps:g} frames per second, at least "
-                f"{1 / _SHOWN_SECONDS:g} were expected: give frames_per_step="
+                f"{1 / ppl.SHOWN_SECONDS_PER_FRAME:g} were expected: give frames_per_step="
             )
     if start and not film.fps > 0:
         raise ppl.errors.InvalidEventError(

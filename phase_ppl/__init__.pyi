@@ -120,6 +120,7 @@ from phase_ppl.world import worlds as worlds
 from phase_ppl.world.errors import PhasePPLError as PhasePPLError
 from phase_ppl.world.errors import QueryError as QueryError
 from phase_ppl.world.errors import SimulationError as SimulationError
+from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME as SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.event import Event as Event
 from phase_ppl.world.event import Observation as Observation
 from phase_ppl.world.event import Truth as Truth

@@ -338,12 +338,14 @@ def _people(store: Store, settings: Settings) -> list[dict[str, Any]]:
 def _is_missed(viewing: Mapping[str, Any], accepted: Mapping[str, Sequence[str]] | None) -> bool:
     if accepted is None:  # a former check
         return True
-    return any(_leading(viewing.get(q)) not in answers for q, answers in accepted.items())
+    return any({*answers}.isdisjoint(_leading(viewing.get(q))) for q, answers in accepted.items())
 
 
-def _leading(answer: Any) -> Any:
-    """Return an answer; of sliders, the label that is highest."""
-    return max(answer, key=dict(answer).__getitem__) if isinstance(answer, dict) else answer
+def _leading(answer: Any) -> list[Any]:
+    """Return the label of an answer; of sliders, the labels that are highest."""
+    if not isinstance(answer, dict):
+        return [answer]
+    return [label for label, n in answer.items() if n == max(answer.values())]
 
 
 def _totals(people: Sequence[Mapping[str, Any]]) -> str:

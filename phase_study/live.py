@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import itertools
 import math
 import tempfile
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -32,7 +34,7 @@ from phase_study.room import Message, Room, Seat
 from phase_study.server import STATIC, Rates, application, same_origin
 from phase_study.settings import Settings, template
 from phase_study.sockets import talk
-from phase_study.study import check_host, names_of, serve
+from phase_study.study import Served, names_of
 
 PARTNERS: Final = ("planner", "helper", "hinderer", "player", "nobody")
 """Who the other agents are: the planner with a goal of its own, with mine, or against it; a second
@@ -68,7 +70,12 @@ class Wishes:
         return found
 
 
-class Live:
+def _holds(scene: ppl.Scene, agent: int, goal: str, frame: NDArray[np.float64]) -> bool:
+    """Return whether an agent's goal is true in a frame, (entity, [x, y, angle])."""
+    return ppl.goals.is_true(ppl.goals.goal_literal(goal, agent, scene.world), frame, scene)
+
+
+class Live(Served):
     """A live game: steer an agent in the browser, and see what the model believes you want.
 
     Example:
@@ -101,7 +108,6 @@ class Live:
         self.opening: list[Callable[[], Any]] = []
         self._rates = Rates()
         self._wishes = Wishes()
-        self._scene: ppl.Scene | None = None
         self._numbers = itertools.count()
         self._game = -1
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -113,34 +119,8 @@ class Live:
 
     # --- its beginning and end --------------------------------------------------------------------
 
-    def run(
-        self,
-        port: int = 8000,
-        host: str = "127.0.0.1",
-        url: str = "",
-        *,
-        ready: Callable[[str], object] = print,
-        keep: Callable[[Any], object] = lambda server: None,
-    ) -> None:
-        """Serve the game until it is interrupted.
-
-        Args:
-            port: port at which to listen; 0: a free one.
-            host: address at which to listen; by default this machine only.
-            url: address by which people reach it, as in "https://game.example.org".
-            ready: called with the address once people can come.
-            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
-
-        Raises:
-            InvalidSettingError: the url is invalid, or missing for a host such as 0.0.0.0.
-            OutputError: another server uses the port.
-        """
-        names, _ = names_of(url, host)
-        check_host(host, url)
-        serve(self.app(names), port, host, url, ready, keep)
-
-    def app(self, names: Sequence[str] = ()) -> Starlette:
-        """Return the application, which answers to ``names`` beside those of this machine."""
+    def app(self, url: str = "", host: str = "127.0.0.1") -> Starlette:
+        """Return the application; it answers to the names of this machine, url and host."""
 
         @contextlib.asynccontextmanager
         async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -159,7 +139,7 @@ class Live:
             Route("/film/{number:int}.mp4", self._film),
             WebSocketRoute("/socket/{seat:int}", self._socket),
         ]
-        app = application(routes, lifespan, names)
+        app = application(routes, lifespan, names_of(url, host)[0])
         app.state.opening = self.opening
         return app
 
@@ -168,7 +148,7 @@ class Live:
         self._sender = ThreadPoolExecutor(1, "to the reader")
         self._start_reader()
         self._tell("warm up", self._drawn())
-        self._begin(self._wishes)
+        self._begin(self._wishes, self._drawn())
 
     async def _close(self) -> None:
         for task in self._tasks:
@@ -201,26 +181,20 @@ class Live:
             scene = self._scenes.random_scene(self._rng)
         return self._settings.scene(scene)
 
-    def _goal(self, agent: int, besides: Sequence[str] = ()) -> str:
+    def _goal(self, scene: ppl.Scene, agent: int, besides: Sequence[str] = ()) -> str:
         """Draw a goal that takes doing: its agent has not reached it yet."""
-        assert self._scene is not None
         goals = [goal for goal, _ in plan.goal_question(self.world, agent, False)["options"]]
-        away = [goal for goal in goals if goal not in besides and not self._holds(agent, goal)]
+        away = [
+            goal for goal in goals
+            if goal not in besides and not _holds(scene, agent, goal, scene.start)
+        ]  # fmt: skip
         return str(self._rng.choice(away or goals))
 
-    def _holds(self, agent: int, goal: str, frame: Any = None) -> bool:
-        assert self._scene is not None
-        literal = ppl.goals.goal_literal(goal, agent, self.world)
-        poses = self._scene.start if frame is None else frame
-        return ppl.goals.is_true(literal, poses, self._scene)
-
-    def _begin(self, wishes: Wishes) -> None:
+    def _begin(self, wishes: Wishes, scene: ppl.Scene) -> None:
         """Begin a game, which waits for the first key (errors as of ``Hypothesis.of``)."""
-        if self._scene is None or wishes.new_scene:
-            self._scene = self._drawn()
         me, agents = wishes.agent, self.world.agents
         own, others = wishes.strengths
-        goals = {agents[me]: wishes.goal or self._goal(me)}
+        goals = {agents[me]: wishes.goal or self._goal(scene, me)}
         relation = {}
         for other, name in enumerate(agents):
             if other == me:
@@ -228,17 +202,16 @@ class Live:
             if wishes.partner in ("helper", "hinderer"):
                 relation[name, agents[me]] = wishes.partner.removesuffix("er")
             else:
-                goals[name] = self._goal(other, tuple(goals.values()))
+                goals[name] = self._goal(scene, other, tuple(goals.values()))
         strength = {name: own if agent == me else others for agent, name in enumerate(agents)}
         roles = ppl.Hypothesis.of(self.world, goals, relation, strength)
         seed = int(self._rng.integers(2**31))
         self._wishes, self._roles, self._seed = wishes, roles, seed
-        self._enter(self._made())
+        self._enter(self._made(scene))
 
-    def _made(self) -> Room:
+    def _made(self, scene: ppl.Scene) -> Room:
         """Return a new room for the game."""
         wishes, n = self._wishes, len(self.world.agents)
-        assert self._scene is not None
         seats = [Seat() for _ in range(n)]
         seats[wishes.agent] = self.seats[0]
         if wishes.partner == "player" and n > 1:
@@ -247,7 +220,7 @@ class Live:
         settings = dataclasses.replace(self._settings, view="all" if wishes.sees_all else "own")
         goals = [self.world.goals[goal] for goal in self._roles.effective_goals]
         return Room(
-            self._scene, goals, self._roles.strengths, settings, seats,
+            scene, goals, self._roles.strengths, settings, seats,
             computer=np.random.default_rng(self._seed) if plays else None,
         )  # fmt: skip
 
@@ -290,10 +263,10 @@ class Live:
     def _look(self, room: Room) -> None:
         """Pause once the player's goal was reached and stays so."""
         me, frames = self._wishes.agent, room.frames
-        goal = room.goals[me]
-        if self._reached or len(frames) <= _STAYS or self._holds(me, goal):
+        holds = functools.partial(_holds, room.scene, me, room.goals[me])
+        if self._reached or len(frames) <= _STAYS or holds(room.scene.start):
             return
-        if all(self._holds(me, goal, frame) for frame in frames[-_STAYS:]):
+        if all(map(holds, frames[-_STAYS:])):
             self._reached = True
             self._pause("reached")
 
@@ -312,7 +285,7 @@ class Live:
         game, steps = self._game, self.room.steps[:frame]
         if self._playing is not None:
             self._playing.cancel()
-        again = self._made()
+        again = self._made(self.room.scene)
         await asyncio.to_thread(again.repeat, steps)
         if self._game == game:  # no other game has begun meanwhile
             self._enter(again)
@@ -371,7 +344,8 @@ class Live:
         match given:
             case {"t": "begin", "wishes": dict(asked)}:
                 try:
-                    self._begin(Wishes.of(asked, self.world))
+                    wishes = Wishes.of(asked, self.world)
+                    self._begin(wishes, self._drawn() if wishes.new_scene else self.room.scene)
                 except ppl.errors.InvalidSettingError as error:
                     self.seats[0].tell({"t": "refused", "text": str(error)})
                 except (ValueError, TypeError, LookupError):
@@ -470,8 +444,11 @@ class Live:
                 page.tell({"t": how, "number": number, "text": text})
 
     def _make(self, what: str, given: Mapping[str, Any]) -> None:
-        if self._unread:
-            self.seats[0].tell({"t": "refused", "text": f"the model cannot read: {self._unread}"})
+        why = f"the model cannot read: {self._unread}" if self._unread else ""
+        if self._making:
+            why = "another film is being made; wait for it"
+        if why:
+            self.seats[0].tell({"t": "refused", "text": why})
             return
         number = next(self._numbers)
         self._making[number] = path = self._folder / f"{number}.mp4"
@@ -489,7 +466,9 @@ class Live:
             raise HTTPException(409, "nothing has happened yet")
         path = self._folder / "event.json"
         ppl.save_event(self.event(), path)
-        return FileResponse(path, media_type="application/json", filename="live.json")
+        # all of it at once: the next one that asks has the same file
+        said = {"Content-Disposition": 'attachment; filename="live.json"'}
+        return Response(path.read_bytes(), headers=said, media_type="application/json")
 
     def event(self) -> ppl.Event:
         """Return the game so far; without truth if somebody in it has no goal."""

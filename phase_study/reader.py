@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
+import traceback
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -149,6 +150,21 @@ def _times(nats: float) -> float:
     return float(np.exp(np.clip(nats, -20.0, 20.0)))
 
 
+def _made(
+    reader: Reader | None, number: int, what: str, given: Mapping[str, Any]
+) -> tuple[str, int, str]:
+    """Return the answer to "make"; a film that fails ends nothing else."""
+    try:
+        if reader is None:
+            raise ppl.errors.SimulationError("the model cannot read this game")
+        return "made", number, getattr(reader, what)(**given)
+    except ppl.PhasePPLError as error:
+        return "failed", number, str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return "failed", number, f"the film cannot be made: {error}"
+
+
 def serve(pipe: Connection) -> None:
     """Read what comes through a pipe until it is closed.
 
@@ -172,11 +188,8 @@ def serve(pipe: Connection) -> None:
                         pipe.send(("reading", game, reader.reading(agent)))
                 case ("look", of, frame) if of == game and reader is not None:
                     pipe.send(("reading", game, reader.reading(agent, frame)))
-                case ("make", number, what, given) if reader is not None:
-                    try:
-                        pipe.send(("made", number, getattr(reader, what)(**given)))
-                    except ppl.PhasePPLError as error:
-                        pipe.send(("failed", number, str(error)))
+                case ("make", number, what, given):
+                    pipe.send(_made(reader, number, what, given))
                 case ("warm up", scene):
                     with ppl.watch(scene, MODEL) as watch:
                         for _ in range(2):

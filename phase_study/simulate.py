@@ -32,7 +32,7 @@ import phase_ppl as ppl
 from phase_study import plan
 from phase_study.settings import Settings
 from phase_study.store import FILE, Store
-from phase_study.study import CLIPS_FOLDER, VIDEOS, Study
+from phase_study.study import CLIPS_FOLDER, VIDEOS, Served, Study
 
 AT_ONCE: Final = 20  # participants at the same time
 
@@ -54,7 +54,6 @@ _BY_GOAL: Final[Mapping[str, Mapping[str, float]]] = {
 """Probability that scripted people choose a label, by the scenario and by a goal they see.
 These are guesses of ours: nobody published such shares."""
 
-_FRAME: Final = 0.25  # seconds of film
 _RATING: Final = (4.0, 0.8)
 """Mean and standard deviation of scripted ratings; the paper's means are 4.06 and 3.98."""
 
@@ -156,7 +155,7 @@ def _asked_at(event: ppl.Event, moments: Sequence[float]) -> ppl.Event:
 
     A model is then asked about these. The answers themselves are not used.
     """
-    seconds = (event.observation.n_frames - 1) * _FRAME
+    seconds = (event.observation.n_frames - 1) * ppl.SHOWN_SECONDS_PER_FRAME
     question, labels = next(iter(ppl.questions_of(event.scene.world).items()))
     rows = [
         {"participant": "nobody", "at": at, question: labels[0]} for at in moments if at < seconds
@@ -190,8 +189,8 @@ def copied(study: Study) -> Iterator[Study]:
 
 
 @contextlib.contextmanager
-def serving(study: Study) -> Iterator[str]:
-    """Serve a study from a thread of this process; yield its address."""
+def serving(study: Served) -> Iterator[str]:
+    """Serve a study, or a live game, from a thread of this process; yield its address."""
     told: queue.SimpleQueue[str] = queue.SimpleQueue()
     server: list[Any] = []
 

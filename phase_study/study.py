@@ -50,7 +50,73 @@ def check_extra() -> None:
         )
 
 
-class Study:
+class Served:
+    """What is served to browsers: a study, or a live game."""
+
+    _locked: Path | None = None  # folder that is this process's meanwhile
+
+    def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
+        """Return the application; ``state.opening`` of it is awaited before people can come."""
+        raise NotImplementedError
+
+    def check(self) -> list[str]:
+        """Return what should still be looked at before people come."""
+        return []
+
+    def run(
+        self,
+        port: int = 8000,
+        host: str = "127.0.0.1",
+        url: str = "",
+        *,
+        ready: Callable[[str], object] = print,
+        keep: Callable[[Any], object] = lambda server: None,
+    ) -> None:
+        """Serve it until it is interrupted.
+
+        Args:
+            port: port at which to listen; 0: a free one.
+            host: address at which to listen. Others than this machine's need TLS before them.
+            url: address by which people reach it, as in "https://study.example.org".
+            ready: called with the address once people can come.
+            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
+
+        Raises:
+            InvalidEventError: a film of a study is missing or was changed.
+            InvalidSettingError: the extra ``study`` is missing; or the url is invalid, or missing
+                for a host such as 0.0.0.0.
+            OutputError: another server uses the port, or the study's folder.
+        """
+        check_extra()
+        import uvicorn
+
+        from phase_study.server import MOST_MESSAGE
+
+        _check_host(host, url)
+        for warning in self.check():
+            print(f"phase-ppl: note: {warning}", file=sys.stderr)
+        app = self.app(url, host)
+        with ppl.files.locked(self._locked), _listening(host, port) as listener:
+            config = uvicorn.Config(
+                app, access_log=False, log_level="warning", server_header=False,
+                proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
+                ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
+            )  # fmt: skip
+            shown = f"[{host}]" if ":" in host else host
+            address = url or f"http://{shown}:{listener.getsockname()[1]}/"
+
+            async def tell() -> None:
+                ready(address)  # people who come before the first request is answered wait
+
+            app.state.opening.append(tell)
+            server = uvicorn.Server(config)
+            keep(server)
+            server.run(sockets=[listener])
+            if not server.started:
+                raise ppl.errors.OutputError("the server did not start")
+
+
+class Study(Served):
     """A study in a folder.
 
     Args:
@@ -62,7 +128,7 @@ class Study:
     """
 
     def __init__(self, folder: PathLike) -> None:
-        self.folder = ppl.files.as_path(folder)
+        self.folder = self._locked = ppl.files.as_path(folder)
         file = ppl.files.existing_file(self.folder / settings_module.FILE)
         self.settings = Settings.read(file, _world_of(self.events.values()))
         with self.store() as store:
@@ -209,37 +275,6 @@ class Study:
             return create_app(site, names, routes(site))
         return create_app(site, names)
 
-    def run(
-        self,
-        port: int = 8000,
-        host: str = "127.0.0.1",
-        url: str = "",
-        *,
-        ready: Callable[[str], object] = print,
-        keep: Callable[[Any], object] = lambda server: None,
-    ) -> None:
-        """Serve the study until it is interrupted.
-
-        Args:
-            port: port at which to listen; 0: a free one.
-            host: address at which to listen. Others than this machine's need TLS before them.
-            url: address by which people reach it, as in "https://study.example.org".
-            ready: called with the address once people can come.
-            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
-
-        Raises:
-            InvalidEventError: a film is missing or was changed.
-            InvalidSettingError: the extra ``study`` is missing, or the url is invalid.
-            OutputError: another server uses the folder or the port.
-        """
-        check_extra()
-        check_host(host, url)
-        for warning in self.check():
-            print(f"phase-ppl: note: {warning}", file=sys.stderr)
-        app = self.app(url, host)
-        with ppl.files.locked(self.folder):
-            serve(app, port, host, url, ready, keep)
-
     # --- results ----------------------------------------------------------------------------------
 
     def status(self) -> Status:
@@ -311,7 +346,7 @@ def names_of(url: str, host: str) -> tuple[list[str], bool]:
     return names, parts.scheme == "https"
 
 
-def check_host(host: str, url: str) -> None:
+def _check_host(host: str, url: str) -> None:
     """Say on stderr that others can come without TLS.
 
     Raises:
@@ -326,42 +361,6 @@ def check_host(host: str, url: str) -> None:
             f"phase-ppl: note: {host} can be reached by others without TLS; put a proxy before it",
             file=sys.stderr,
         )
-
-
-def serve(
-    app: Any,
-    port: int,
-    host: str,
-    url: str,
-    ready: Callable[[str], object],
-    keep: Callable[[Any], object],
-) -> None:
-    """Serve an application until it is interrupted; arguments and errors as of :meth:`Study.run`.
-
-    ``app.state.opening`` is a list of what is awaited before people can come.
-    """
-    import uvicorn
-
-    from phase_study.server import MOST_MESSAGE
-
-    with _listening(host, port) as listener:
-        config = uvicorn.Config(
-            app, access_log=False, log_level="warning", server_header=False,
-            proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
-            ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
-        )  # fmt: skip
-        shown = f"[{host}]" if ":" in host else host
-        address = url or f"http://{shown}:{listener.getsockname()[1]}/"
-
-        async def tell() -> None:
-            ready(address)  # people who come before the first request is answered wait
-
-        app.state.opening.append(tell)
-        server = uvicorn.Server(config)
-        keep(server)
-        server.run(sockets=[listener])
-        if not server.started:
-            raise ppl.errors.OutputError("the server did not start")
 
 
 def _listening(host: str, port: int) -> socket.socket:

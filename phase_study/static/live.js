@@ -8,7 +8,7 @@ const PARTNERS = { planner: "the planner, with a goal of its own", helper: "the 
   player: "a second player", nobody: "nobody: it stands still" };
 const RELATIONS = ["friendly", "neutral", "adversarial"], RELATION_COLOURS = ["#009e73", "#7a7a7a", "#d55e00"];
 const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900"];
-const percent = share => `${Math.round(100 * share)} %`;
+const percent = share => `${Math.round(100 * share)}\u00a0%`;
 const seconds = frame => `${(frame * FRAME).toFixed(1)} s`;
 const times = ratio => ratio >= 1 ? `${ratio < 10 ? ratio.toFixed(1) : Math.round(ratio)} times as probable` : `${1 / ratio < 10 ? (1 / ratio).toFixed(1) : Math.round(1 / ratio)} times less probable`;
 const quantile = (values, share) => [...values].sort((a, b) => a - b)[Math.min(values.length - 1, Math.floor(share * values.length))];

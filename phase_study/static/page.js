@@ -19,14 +19,15 @@ class Film {
     const says = (label, text = "") => { this.button.textContent = label; this.status.textContent = text; };
     let fromTheStart = true; // not by the time of the film, which goes on until the event is heard
     this.video.addEventListener("play", () => { if (fromTheStart) this.plays++; fromTheStart = false; says("Pause"); watch(); });
-    const watch = () => {
-      if (this.moments.length && this.video.currentTime >= this.moments[0]) {
-        this.waiting = this.moments.shift();
-        this.video.pause();
-        this.button.disabled = true;
-        says("Play", "The animation has stopped. Please answer by what you have seen so far.");
-      } else if (!this.video.paused) requestAnimationFrame(watch);
+    const stop = () => {
+      if (this.waiting !== null || !(this.video.currentTime >= this.moments[0])) return;
+      this.waiting = this.moments.shift();
+      this.video.pause();
+      this.button.disabled = true;
+      says("Play", "The animation has stopped. Please answer by what you have seen so far.");
     };
+    const watch = () => { stop(); if (!this.video.paused) requestAnimationFrame(watch); };
+    this.video.addEventListener("timeupdate", stop); // a hidden page draws no frames
     this.video.addEventListener("pause", () => { if (this.waiting === null && !this.video.ended && !this.video.error) says("Play"); });
     this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); fromTheStart = true; says("Play again"); });
     this.video.addEventListener("error", () => {

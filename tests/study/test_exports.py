@@ -153,6 +153,17 @@ def test_exports_replace_exports_alone_and_tell_age_and_gender_only_where_asked(
         judged.export(tmp_path)
 
 
+def test_sliders_at_a_check_are_right_if_an_accepted_one_is_among_the_highest(
+    tmp_path: Path,
+) -> None:
+    study = make_study(tmp_path / "study", answers="sliders")
+    study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
+    tied = {"friendly": 50, "neutral": 0, "adversarial": 50}
+    come(study, *({**JUDGED, "relation": one} for one in (tied, {**tied, "adversarial": 49})))
+    people = table(study.export(tmp_path / "out") / "participants.csv")
+    assert [p["checks_missed"] for p in people] == ["0", "1"]
+
+
 def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
     # both answers are right of the first; one of them of the second, who has not attended

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
-import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -19,7 +19,9 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
+from phase_study import reader
 from phase_study.live import Live
+from phase_study.simulate import serving
 from tests.browser import needs_browser, running_browser
 from tests.simulator.toys import wait_until
 from tests.study.players import near_goals, press
@@ -93,6 +95,8 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "read", lambda found: found["frame"] == 2)
             socket.send_json({"t": "film"})
             until(socket, "making")
+            socket.send_json({"t": "film"})
+            assert "is being made" in until(socket, "refused")["text"]
             pid = game._process.pid
             assert pid is not None
             os.kill(pid, signal.SIGKILL)
@@ -105,6 +109,34 @@ def test_a_game_goes_on_without_its_reader_and_the_next_one_has_a_new_one() -> N
             until(socket, "unread")  # a page that is opened later is told
             socket.send_json(wishes())
             until(socket, "reading")
+
+
+def test_a_refused_game_leaves_the_scene_of_the_one_before() -> None:
+    game = Live()
+    with client_of(game) as client, connected(client) as socket:
+        before = game.room.scene
+        socket.send_json(wishes(goal="get to red agent", new_scene=True))
+        assert "names the red agent itself" in until(socket, "refused")["text"]
+        socket.send_json(wishes())
+        until(socket, "waiting", lambda found: game._wishes.partner == "nobody")
+        assert game.room.scene is before
+
+
+def test_a_film_that_fails_does_not_end_the_reader(tmp_path: Path) -> None:
+    here, there = multiprocessing.Pipe()
+    thread = threading.Thread(target=reader.serve, args=(there,))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signal, "signal", lambda *given: None)  # for a thread it is not allowed
+        here.send(("make", 1, "film", {"path": tmp_path / "early.mp4"}))
+        here.send(("begin", 0, near_goals().scene, 0))
+        here.send(("make", 2, "film", {"path": None}))
+        here.send(("frame", 0, near_goals().scene.start))
+        thread.start()
+        told = [here.recv() for _ in range(3)]
+    here.close()
+    thread.join()
+    assert [one[0] for one in told] == ["failed", "failed", "reading"]
+    assert [one[1] for one in told[:2]] == [1, 2]
 
 
 def test_a_second_player_steers_another_agent_of_any_world() -> None:
@@ -129,35 +161,26 @@ def test_a_second_player_steers_another_agent_of_any_world() -> None:
 
 @needs_browser
 def test_the_page_shows_what_is_believed_as_keys_are_pressed() -> None:
-    told: queue.SimpleQueue[str] = queue.SimpleQueue()
-    server: list[Any] = []
     scene = near_goals(start=[[12, 14, 0], [20, 19.5, -1.5], [12, 7, 0], [20, 7, 0]]).scene
-    how: dict[str, Any] = {"ready": told.put, "keep": server.append}
-    thread = threading.Thread(target=Live(scene).run, args=(0,), kwargs=how, daemon=True)
-    thread.start()
     faults: list[str] = []
-    try:
-        with running_browser() as browser:
-            page = browser.new_page(viewport={"width": 390, "height": 844})
-            page.on("pageerror", lambda error: faults.append(str(error)))
-            page.goto(told.get(timeout=60))
-            wait_until(lambda: page.evaluate("Boolean(window.live?.readings.length)"), 120)
-            first = page.evaluate("live.readings[0].goals[0]")
-            page.keyboard.down("w")
-            wait_until(lambda: page.evaluate("live.readings.length > 4"), 60)
-            page.keyboard.up("w")
-            page.get_by_role("button", name="Pause").click()
-            page.get_by_text("What if").first.click()
-            page.get_by_text("Paused.").wait_for()
-            now = page.evaluate("live.readings.at(-1).goals[0]")
-            assert np.abs(np.subtract(first, now)).sum() > 0.1, "it has learnt something"
-            assert sum(now) == pytest.approx(1, abs=0.01)
-            assert page.evaluate("live.latency.reading.length") > 0
-            page.evaluate(AXE)
-            found = page.evaluate("tags => axe.run({ runOnly: tags })", RULES)["violations"]
-            assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
-            assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    finally:
-        server[0].should_exit = True
-        thread.join()
+    with serving(Live(scene)) as address, running_browser() as browser:
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(address)
+        wait_until(lambda: page.evaluate("Boolean(window.live?.readings.length)"), 120)
+        first = page.evaluate("live.readings[0].goals[0]")
+        page.keyboard.down("w")
+        wait_until(lambda: page.evaluate("live.readings.length > 4"), 60)
+        page.keyboard.up("w")
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_text("What if").first.click()
+        page.get_by_text("Paused.").wait_for()
+        now = page.evaluate("live.readings.at(-1).goals[0]")
+        assert np.abs(np.subtract(first, now)).sum() > 0.1, "it has learnt something"
+        assert sum(now) == pytest.approx(1, abs=0.01)
+        assert page.evaluate("live.latency.reading.length") > 0
+        page.evaluate(AXE)
+        found = page.evaluate("tags => axe.run({ runOnly: tags })", RULES)["violations"]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert faults == []
