@@ -128,8 +128,8 @@ class Model:
         """Return the closed loop with settings for frames that come as they happen, in any world.
 
         One set of searches, of 30 simulations over 10 particles, one strength (450 N) and eight
-        states. It costs a few percent of the usual settings and is less accurate; errors are
-        unknown. ``benchmarks/realtime.py`` measures both.
+        states. It costs about an eighth of the usual settings in PHASE, and is less accurate;
+        errors are unknown. ``benchmarks/realtime.py`` measures both.
 
         Args:
             prior: as of the class.
