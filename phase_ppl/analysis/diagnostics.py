@@ -310,13 +310,16 @@ def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, An
     """Return what diagnostics have of the trajectories themselves.
 
     Keys: ``n_frames``; ``overlapping_frames``, in which bodies overlap each other or a wall;
-    ``unseen_frames``, in which each entity was not seen, of those that were not at times;
+    ``unseen_frames``, in which each entity, or an agent's angle, was not seen, of those that were
+    not at times;
     ``sealed_agents``, who start in a room without a door; and for the joint simulator ``odd_pace``,
     see :func:`phase_ppl.data.motion.odd_pace`, else "".
     """
     rooms, agents = scene.rooms, scene.world.agents
     starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
-    names = zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True)
+    gone = dict(zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True))
+    turned = zip(agents, np.isnan(trajectory[..., 2]).T, strict=False)  # items' angles say nothing
+    gone |= {f"{name}'s angle": unseen & ~gone[name] for name, unseen in turned}
     return {
         "n_frames": len(trajectory),
         "overlapping_frames": overlapping_frames(trajectory, scene),
@@ -326,7 +329,9 @@ def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, An
             for name, room in zip(agents, starts, strict=True)
             if len(rooms) > 1 and not rooms.exits(room)
         ],
-        "unseen_frames": {name: np.flatnonzero(one).tolist() for name, one in names if one.any()},
+        "unseen_frames": {
+            name: np.flatnonzero(unseen).tolist() for name, unseen in gone.items() if unseen.any()
+        },
     }
 
 

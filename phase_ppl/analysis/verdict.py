@@ -195,8 +195,8 @@ def _of_tracks(found: Record) -> Iterator[Check]:
     if unseen := found["unseen_frames"]:
         told = ", ".join(f"{name} in {_frames(frames)}" for name, frames in unseen.items())
         says = (
-            f"Not seen: {told}. There the frames say nothing of it; where it was is the model's "
-            "guess, and what it did there counts for no goal."
+            f"Not seen: {told}. There the frames say nothing of it; it is the model's guess, and "
+            "what was done unseen counts for no goal."
         )
         value = f"not in {len(set().union(*unseen.values()))} of {found['n_frames']} frames"
         yield Check("all bodies are seen", "unknown", value, "always", says)

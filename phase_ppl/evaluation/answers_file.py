@@ -303,7 +303,7 @@ class _Reader:
         )
         for name in numbers:
             with faults.noted():
-                what = "seconds, such as 12.4" if name in ("response_time", "at") else "a number"
+                what = "seconds, such as 12.4" if name in ("response_time", "at") else _RATING
                 numbers[name] = _number(name, by_field.get(name, ""), what)
         answers = self._answers(given, by_field, numbers["value"], found, faults)
         found["at"] = numbers["at"]
@@ -396,7 +396,10 @@ class _Reader:
         ]
 
 
-def _number(name: str, cell: str, expected: str = "a number, such as 70") -> float | None:
+_RATING: Final = "a number of 0 or more, such as 70"
+
+
+def _number(name: str, cell: str, expected: str = _RATING) -> float | None:
     """Return a number of at least 0; None: there is none. Decimal commas and % are understood."""
     if not cell:
         return None

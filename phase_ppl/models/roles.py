@@ -253,13 +253,13 @@ def bound(
     A prior that asks by the names of its arguments for the ``scene``, the ``observation`` or the
     ``event`` (both of these, without truth) is bound to what is shown. It uses the video twice,
     as does the likelihood: it is an empirical prior, a cue, not a generative one. One that is bound
-    to an event stays so, whatever else is shown.
+    already stays so where nothing is shown.
 
     Raises:
         InvalidSettingError: it is of PHASE and the world another, or the reverse; or it asks for
             what is not shown here.
     """
-    if isinstance(prior, BoundPrior) and prior.shows:
+    if isinstance(prior, BoundPrior) and prior.shows and observation is None:
         return prior
     prior = as_given(prior)
     scene = place if isinstance(place, Scene) else None

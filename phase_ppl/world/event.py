@@ -244,6 +244,7 @@ class Observation:
         if own.seconds is None and fps is not None:
             found = cls.at_rate(poses, fps)
         else:
+            said += ["by their own times, not by fps="] * (fps is not None)
             found = cls.at_times(poses, seconds, max(longest, GAP))
         said += [found.said] * bool(found.said)
         track, n_agents = found.trajectory.copy(), len(world.agents)

@@ -369,7 +369,10 @@ def test_a_fit_that_ends_nowhere_is_told(other: list[float | None], said: str) -
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (f"{SLIDERS}\np1,a,70,-3,0", "line 2: neutral is '-3', expected a number, such as 70"),
+        (
+            f"{SLIDERS}\np1,a,70,-3,0",
+            "line 2: neutral is '-3', expected a number of 0 or more, such as 70",
+        ),
         (f"{SLIDERS},relation\np1,a,7,2,1,friendly", "has an answer and ratings of relation"),
         (f"{SLIDERS},Friendly\np1,a,7,2,1,3", "columns friendly and Friendly mean the same"),
         (f"{SLIDERS}\np1,a,0,0,0", "holds no judgments: .*1 graded answers of zeros only"),
@@ -519,7 +522,8 @@ def test_shares_that_are_none_are_refused(shares: dict[str, Any]) -> None:
         ({}, {"na": "-99"}, InvalidSettingError, "na='-99', expected a list of texts"),
         ({}, {"names": ["friendly"]}, InvalidSettingError, "names=.*, expected a mapping"),
         ({"rating": 3}, {}, InvalidEventError, "line 1: names the column rating: names="),
-        ({"neutral": 1e308}, {}, InvalidEventError, "neutral is '1e.308', expected a number"),
+        ({"neutral": 1e308}, {}, InvalidEventError,
+         "neutral is '1e.308', expected a number of 0 or more"),
     ],
 )  # fmt: skip
 def test_options_and_columns_that_cannot_be_read_are_refused(

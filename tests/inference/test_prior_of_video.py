@@ -118,6 +118,7 @@ def test_events_have_priors_of_their_own_and_one_fingerprint() -> None:
     one, two = (model.in_world(e.scene, e.observation) for e in (EVENT, other))
     assert one.prior == model.in_world(EVENT.scene, EVENT.observation).prior
     assert one.prior != two.prior
+    assert one.in_world(other.scene, other.observation).prior == two.prior
     assert one.fingerprint() == two.fingerprint() == model.fingerprint()
 
 

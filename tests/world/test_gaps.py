@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.simulator.contract import simulate_one
 from phase_ppl.world.errors import AnswerError, InvalidEventError
@@ -44,6 +45,12 @@ def test_gaps_are_said_and_can_be_put_on_straight_lines() -> None:
     never[:, PINK] = np.nan
     with pytest.raises(InvalidEventError, match="body 3 was never seen"):
         Observation(never).filled()
+
+
+def test_bodies_and_agents_angles_that_were_not_seen_are_named() -> None:
+    event = with_gap()
+    found = of_tracks(event.observation.trajectory, event.scene, joint=True)
+    assert found["unseen_frames"] == {"pink item": [2, 3], "red agent's angle": [1]}
 
 
 @pytest.mark.parametrize("ending", [".json", ".nc"])
