@@ -163,6 +163,32 @@ class Estimate(float):
         return float(self).__format__(spec) if spec else repr(self)
 
 
+def odds(p: Estimate) -> Estimate:
+    """Return p / (1 - p), its error to first order; inf, with an unknown error, if p is 1."""
+    left = 1.0 - p
+    return Estimate(p / left, p.error / left**2) if left > 0 else Estimate(math.inf)
+
+
+def ratio(
+    one: Estimate, other: Estimate, jackknifed: tuple[float, float, float] | None = None
+) -> Estimate:
+    """Return ``one / other`` with its error.
+
+    Args:
+        one, other: numbers, the second not 0.
+        jackknifed: errors by the jackknife alone, of both and of the ratio, in which what both
+            share cancels. What errors have beyond these is added to first order, as if it were
+            independent: so the error is rather too large. None: all is to first order.
+    """
+    value, errors = float(one / other), np.array([one.error, one / other * other.error]) / other
+    if jackknifed is None:
+        return Estimate(value, float(np.hypot(*errors)))
+    of_one, of_other, of_ratio = jackknifed
+    of_sets = np.array([of_one, value * of_other]) / other
+    beyond = np.maximum(errors**2 - of_sets**2, 0.0).sum()
+    return Estimate(value, float(np.sqrt(of_ratio**2 + beyond)))
+
+
 class Mode(str):
     """The most probable label; a plain string.
 

@@ -412,7 +412,7 @@ class Hypotheses(Printed):
         given = query.given
         if query.event is not None:
             found = self._number(*self._asked(query), given)
-            return found if query.question == "P" else _odds(found)
+            return found if query.question == "P" else estimate.odds(found)
         ask: Mapping[str, Callable[..., Any]] = {
             **{"P": self.joint, "H": self.entropy, "I": self.mutual_information},
             **{"E": self.mean, "sd": self.sd, "median": self.median},
@@ -445,16 +445,11 @@ class Hypotheses(Printed):
         one, other = numbers
         if not other:
             raise QueryError("this is 0, and nothing can be divided by it", question, queries[1].at)
-        ratio = float(one / other)
-        # in units of the ratio
-        errors = np.array([one.error / other, ratio * other.error / other])
         if without is None or len({len(one) for one in replicates}) > 1 or len(own) < len(numbers):
-            return Estimate(ratio, float(np.hypot(*errors)))
+            return estimate.ratio(one, other)
         with np.errstate(divide="ignore", invalid="ignore"):
-            shared = without.error(replicates[0] / replicates[1], ratio)
-        of_sets = np.array([own[0] / other, ratio * own[1] / other])
-        beyond = np.maximum(errors**2 - of_sets**2, 0.0).sum()
-        return Estimate(ratio, float(np.sqrt(shared**2 + beyond)))
+            shared = float(without.error(replicates[0] / replicates[1], float(one / other)))
+        return estimate.ratio(one, other, (own[0], own[1], shared))
 
     def _under_weights(self, weights: str) -> Hypotheses:
         raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
@@ -604,12 +599,7 @@ class Hypotheses(Printed):
         """Return whether the jackknife gives the error of answers about these columns."""
         return True
 
-    def _number(
-        self,
-        statistic: Statistic,
-        values: NDArray[Any],
-        given: Given,
-    ) -> Estimate:
+    def _number(self, statistic: Statistic, values: NDArray[Any], given: Given) -> Estimate:
         """Return ``statistic`` of values (row,) and weights (..., row), with its error."""
         rows, weights, without = self._weighed(given, values)
         values = values[rows]
@@ -650,12 +640,6 @@ def with_errors(found: xr.DataArray) -> list[tuple[str, Estimate]]:
 
 def _clause(quantity: Quantity, wanted: object) -> Clause:
     return Clause(lambda columns: quantity.satisfied(columns[quantity.name], wanted), quantity.name)
-
-
-def _odds(p: Estimate) -> Estimate:
-    """Return the odds of a probability; inf, with an unknown error, of what is certain."""
-    left = 1.0 - p
-    return Estimate(p / left, p.error / left**2) if left > 0 else Estimate(math.inf)
 
 
 def _entropy_of_codes(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
