@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import Hypotheses, with_errors
-from phase_ppl.world.picture import LABEL, bars
+from phase_ppl.world.picture import bars, wrapped
 
 
 def answers(of: Hypotheses) -> dict[str, Any]:
@@ -25,11 +25,14 @@ def answers(of: Hypotheses) -> dict[str, Any]:
 
 
 def answer_lines(
-    of: Hypotheses, untried: Callable[[str], frozenset[str]] = lambda name: frozenset()
+    of: Hypotheses,
+    untried: Callable[[str], frozenset[str]] = lambda name: frozenset(),
+    levels: Sequence[float] = (),
 ) -> list[str]:
     """Return the lines of a table about goals, relations, scenario and strengths.
 
-    ``untried`` returns the labels of a quantity that nothing was simulated for.
+    ``untried`` returns the labels of a quantity that nothing was simulated for. ``levels`` are the
+    only strengths that there are, newtons; none: any.
     """
     lines: list[str] = []
     for agent, name in of.goals_of.items():
@@ -38,9 +41,14 @@ def answer_lines(
         without = untried(name)
         lines += bars(label, [(one, None if one in without else p) for one, p in of.top(name, 4)])
     for place, (agent, name) in enumerate(of.strengths_of.items()):
-        low, high = of.hdi(name).values
-        text = f"{agent}: {of.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
-        lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
+        if levels:
+            shares = [float(of.probability(**{name: level})) for level in levels]
+            told = (f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
+            text = ", ".join(told)
+        else:
+            low, high = of.hdi(name).values
+            text = f"{of.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
+        lines += wrapped("" if place else "strength", f"{agent}: {text}")
     return lines
 
 

@@ -332,6 +332,16 @@ def widened(size: float) -> float:
     return float(stdtrit(max(size - 1.0, _FEWEST_DEGREES), 0.975)) / 1.96
 
 
+def over_sets(without: ArrayLike) -> Jackknife | None:
+    """Return the jackknife over sets of searches, given (set, row) weights without each.
+
+    Sets are few, so errors are :func:`widened`. None: a single set.
+    """
+    weights = np.asarray(without, np.float64)
+    n = len(weights)
+    return Jackknife(weights, (n - 1) * widened(n) ** 2) if n > 1 else None
+
+
 def with_unseen(mass: ArrayLike, error: ArrayLike, size: float, n_labels: int = 2) -> FloatArray:
     """Return errors of probabilities that stay above 0 when a few draws all agree.
 

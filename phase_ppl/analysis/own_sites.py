@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, over_sets, worth
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import Table
@@ -187,9 +187,7 @@ def _reweighted(
     Log masses are of all hypotheses, with all sets and without each; ``places`` say which the rows
     are of.
     """
-    if not without:
-        return None
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = [np.log(weights) + mass[places] - log_mass[places] for mass in without]
     changed = [np.exp(_log_shares(np.where(np.isnan(one), -np.inf, one))) for one in logs]
-    return Jackknife(np.array(changed), len(without) - 1.0)
+    return over_sets(changed)

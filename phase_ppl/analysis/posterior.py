@@ -131,12 +131,10 @@ class Posterior(EventPosterior):
             over_chains = dataclasses.replace(over_chains, factor=factor)
         if not self._looked_up:
             return over_chains
-        n_sets = len(self._without_sets)
-        if over_chains is None or n_sets < 2:
+        over_sets = estimate.over_sets(self._without_sets)
+        if over_chains is None or over_sets is None:
             return None
-        return estimate.Jackknives(
-            (over_chains, estimate.Jackknife(self._without_sets, n_sets - 1.0))
-        )
+        return estimate.Jackknives((over_chains, over_sets))
 
     @functools.cached_property
     def _needed(self) -> float:

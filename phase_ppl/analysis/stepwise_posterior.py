@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
-from phase_ppl.analysis.estimate import Estimate, Jackknife, worth
+from phase_ppl.analysis.estimate import Estimate, Jackknife, over_sets, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
@@ -98,8 +98,7 @@ class StepwisePosterior(EventPosterior):
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
         words = vocabulary_of(self._table.space, scenario)
         rows, without = self._table.rows(self._frame)
-        n = self.planner_seeds
-        self._over_sets = Jackknife(without, n - 1.0) if n > 1 else None
+        self._over_sets = over_sets(without)
         if self._table.is_exact:  # there is nothing to leave out
             self._over_sets = Jackknife(rows.weights[None], 0.0)
         rows = dataclasses.replace(rows, values=words.completed(rows.values))
@@ -466,7 +465,7 @@ class StepwisePosterior(EventPosterior):
         return f"{self.event_id}: closed loop, {found['frames']} frames; all hypotheses, {searched}"
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
-        cost, told = self.cost, [*self._notes(), *answer_lines(self), ""]
+        cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"

@@ -23,7 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.agents.standpoints import standpoints
-from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.estimate import Estimate, over_sets
 from phase_ppl.analysis.stepwise_file import APART, as_written_now
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
@@ -489,8 +489,8 @@ class Table:
         value, *without = [log_sum_exp(masses) for masses in self.log_masses(frame, 1.0)]
         if self.is_exact:
             return Estimate(value, 0.0)
-        n = len(without)
-        return Estimate(value, math.sqrt((n - 1) * np.var(without)) if n else math.nan)
+        sets = over_sets(np.reshape(without, (-1, 1)))
+        return Estimate(value, math.nan if sets is None else float(sets.error(without, value)))
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:

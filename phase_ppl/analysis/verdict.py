@@ -41,7 +41,7 @@ SURPRISING: Final = 0.1
 TOO_SURPRISING: Final = 0.5
 """Share of such frames from which on the agents' actions are unlikely under all goals."""
 
-DISAGREE: Final = 0.1
+DISAGREE: Final = 0.15
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
 JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
