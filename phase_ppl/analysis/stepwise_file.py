@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from phase_ppl.analysis.tree import kept_world
+from phase_ppl.models.prior_masses import APART
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -42,7 +43,7 @@ _POLICIES: Final = {
     "density": ("time", "joint_action"),
     "policies": ("time", "agent", "policy", "planner_seed", "action"),
     "policy_of": ("time", "agent", "standpoint"),
-    "shift": ("time", "table"),
+    "shift": ("time", "table"),  # jackknife replicates
 }
 _READ: Final = {
     "goals": ("read", "agent"),
@@ -50,12 +51,6 @@ _READ: Final = {
     "log_likelihood_without": ("part", "time", "read", "combination"),
 }
 _MARGINALS: Final = {"marginals": ("time", "agent", "goal")}
-APART: Final = {
-    "log_prior_goals": ("agent", "goal"),
-    "log_prior_company": ("way",),
-    "log_prior_strengths": ("agent", "level"),
-}
-"""Variables of a prior whose sites are independent of each other; others have ``log_prior``."""
 
 
 def dimensions(space: HypothesisSpace) -> dict[str, tuple[str, ...]]:
@@ -98,8 +93,7 @@ def _converted(found: xr.Dataset) -> xr.Dataset:
         found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
     if "policies" in found:
         n = found.sizes["planner_seed"]
-        tables = np.zeros((found.sizes["time"], 1 + (n if n > 1 else 0)))
-        found["shift"] = _POLICIES["shift"], tables
+        found["shift"] = _POLICIES["shift"], np.zeros((found.sizes["time"], n + 1 if n > 1 else 1))
     if schema == _OF_PAIRS:
         pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
         with_pairs = {

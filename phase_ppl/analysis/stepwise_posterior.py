@@ -24,11 +24,12 @@ from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
 from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
-from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, Table, table_of
+from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.data.hdf5 import read_netcdf, root_attribute
+from phase_ppl.models.prior_masses import MOST_HYPOTHESES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -55,7 +56,7 @@ class StepwisePosterior(EventPosterior):
     """The closed loop's posterior over all agents' goals, relations and strengths.
 
     The sum over hypotheses leaves none out, unless there are more than
-    :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn; what
+    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES`, of which so many are drawn; what
     goes into it is approximate. Policies are estimated by searches: ``.error`` of every answer is
     the standard error that comes of it, by the jackknife over the sets of searches
     (``planner_seeds``), NaN with one. Velocities, holds and strengths come from a filter, and
@@ -362,7 +363,9 @@ class StepwisePosterior(EventPosterior):
         columns = words.completed(self._table.columns())
         told = (*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of.values())
         sizes = {name: len(words.quantities[name].categories()) for name in told}
-        masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
+        masses = {
+            name: np.empty((self._table.n_replicates, n, size)) for name, size in sizes.items()
+        }
         for t in range(n):
             for row, weights in enumerate(self._table.weights(t)):
                 for name, size in sizes.items():
@@ -396,7 +399,7 @@ class StepwisePosterior(EventPosterior):
         except (QueryError, UnknownNameError):  # it may be about strengths, in a larger table
             wanted, other = self._sides(table.all_columns(), event, over)
             masses_at = table.all_log_masses
-        log_odds, possible = np.empty((table.n_tables, self._frame + 1)), False
+        log_odds, possible = np.empty((table.n_replicates, self._frame + 1)), False
         for t in range(self._frame + 1):
             for place, mass in enumerate(masses_at(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
@@ -418,7 +421,7 @@ class StepwisePosterior(EventPosterior):
         if not table.space.is_listed:
             return None
         names, n = table.space.goal_sites, self._frame + 1
-        log_likelihood, log_prior = table.by_goals(table.by_points()[:n]), table.prior_of_goals()
+        log_likelihood, log_prior = table.on_grid(table.by_frame()[:n]), table.prior_of_goals()
         labels = {key: list(self.world.goals) for key in names}
         weighed = float(self._found.attrs["weight"]) * log_likelihood
         return xr.Dataset(

@@ -30,7 +30,7 @@ from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.physics.flat import ANGLE, X, Y, to_state
 from phase_ppl.simulator.joint import Past
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import GOLDEN, FloatArray, IntArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     nonnegative_number,
@@ -111,7 +111,6 @@ _LEAST: Final = 20.0  # log weight below the best at which a state is dropped
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
 
-_GOLDEN: Final = (math.sqrt(5) - 1) / 2  # its multiples lie evenly between whole numbers
 
 _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken for the same, units/s
 
@@ -430,7 +429,7 @@ class HiddenState:
         for combination, room in enumerate(rooms):
             rows = np.flatnonzero(of_combination == combination)
             mass = np.cumsum(np.exp(flat[rows]))
-            begin = (self._n_drawn * len(rooms) + combination) * _GOLDEN % 1.0
+            begin = (self._n_drawn * len(rooms) + combination) * GOLDEN % 1.0
             at = np.searchsorted(mass, mass[-1] * (begin + np.arange(room)) / room, "right")
             kept, times = np.unique(np.minimum(at, len(mass) - 1), return_counts=True)
             row, joint = np.divmod(kept, flat.shape[1])

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
-from phase_ppl.analysis.stepwise_table import Prior, Table, table_of
+from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
+from phase_ppl.models.prior_masses import PriorMasses
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
 from phase_ppl.world.arrays import FloatArray, finite_array
@@ -114,14 +115,13 @@ class Watch:
         self._levels = likelihood.tracking.strengths
         prior = for_table(self.model.prior, scene, observation)
         kept, attrs = stepwise_prior(prior, scene.world, self._levels)
-        self._constant: dict[str, Any] = dict(kept)
+        self._constant: dict[str, Any] = dict(kept)  # what does not change from frame to frame
         self._attrs: dict[str, Any] = dict(attrs)
         self._filter = self._own_filter() if self._own else self._joint_filter()
         self._keep(self._filter.at_start()._asdict())
 
-    def _prior(self, combinations: FloatArray) -> Prior:
-        self._constant["combinations"] = combinations
-        return Prior(space_of(self._scene.world), self._constant, combinations)
+    def _prior_masses(self, combinations: FloatArray) -> PriorMasses:
+        return PriorMasses(space_of(self._scene.world), self._constant, combinations)
 
     def _joint_filter(self) -> GoalFilter:
         likelihood, of = self._likelihood, self._scene
@@ -129,14 +129,15 @@ class Watch:
             *(of, self.model.planner_config(), likelihood.tracking, self._seed, self.threads),
             likelihood.planner_seeds,
         )
-        followed = self._prior(sets.hidden.combinations).followed()
+        self._constant["combinations"] = combinations = sets.hidden.combinations
+        followed = self._prior_masses(combinations).followed()
         log_goals = self._constant.get("log_prior_goals")
         return GoalFilter(sets, likelihood.conduct, self._weight, followed, log_goals)
 
     def _own_filter(self) -> SimulatorFilter:
         levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))
-        asked = self._prior(np.array(list(levels))).to_read()
-        self._constant["goals"] = asked.goals
+        asked = self._prior_masses(np.array(list(levels))).to_read()
+        self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
         found = SimulatorFilter(
             self.model.simulator,
             self._scene,

@@ -330,9 +330,9 @@ class ReadTable:
         """
         values = np.where(np.isnan(values), -np.inf, values)
         if not table.own:
-            return table.by_goals(values)
+            return table.on_grid(values)
         levels = (len(table.levels),) * table.space.n_agents
-        found = np.moveaxis(table.by_goals(np.moveaxis(values, -1, 1)), 1, -1)
+        found = np.moveaxis(table.on_grid(np.moveaxis(values, -1, 1)), 1, -1)
         return found.reshape(*found.shape[:-1], *levels)
 
     def lookup(self, n_frames: int) -> Lookup:

@@ -47,7 +47,8 @@ from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_table import GoalRows, Table
+    from phase_ppl.analysis.stepwise_table import Table
+    from phase_ppl.models.prior_masses import GoalRows
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""

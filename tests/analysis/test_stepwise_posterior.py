@@ -20,6 +20,7 @@ from matplotlib import rc_context
 import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.models import prior_masses
 from phase_ppl.models.roles import bound, masses
 from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
@@ -350,7 +351,7 @@ def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch
     owners = ([own for own, one in zip(n, way, strict=True) if one is None] for way in all_ways(3))
     n_hypotheses = table.prior.n_hypotheses
     assert n_hypotheses == sum(map(math.prod, owners))
-    monkeypatch.setattr(stepwise_table, "MOST_HYPOTHESES", n_hypotheses // 2)
+    monkeypatch.setattr(prior_masses, "MOST_HYPOTHESES", n_hypotheses // 2)
     monkeypatch.setattr(stepwise_table, "MOST_ROWS", n_hypotheses)  # strengths are drawn too
     drawn = StepwisePosterior(post.dataset)
     assert drawn._table.sampled

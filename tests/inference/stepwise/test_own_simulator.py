@@ -15,10 +15,9 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis import stepwise_table
 from phase_ppl.closed_loop import own_simulator
 from phase_ppl.inference.table_run import ReadTable
-from phase_ppl.models import roles, sites
+from phase_ppl.models import prior_masses, roles, sites
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.hypothesis import Hypothesis, all_ways
@@ -297,7 +296,7 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(monkeypatch: pytest.Monk
         infer(walkers)
     with pytest.raises(InvalidSettingError, match="expected a generator function"):
         ppl.Model(simulator=Knows())  # whole videos take more
-    monkeypatch.setattr(stepwise_table, "MOST_READ", 100)
+    monkeypatch.setattr(prior_masses, "MOST_READ", 100)
     with pytest.raises(InvalidSettingError, match="11 combinations of goals times 16 of strengths"):
         infer(Knows())
     with pytest.raises(InvalidSettingError, match=r"3.17e\+04 combinations of goals times 8"):
