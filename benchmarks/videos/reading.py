@@ -103,7 +103,7 @@ class Kept:
         truth: effective goals of red and green; levels: places of their strengths.
         steps: per step (plans, log density).
         strengths: (step, strength of red, of green) probabilities.
-        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
+        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.FrameReading`.
     """
 
     truth: tuple[int, ...]

@@ -22,7 +22,7 @@ from phase_ppl.data.motion import odd_pace
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.picture import LABEL, Printed, plain, wrapped
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
@@ -225,7 +225,7 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
         return False
     one, two = (goal_literal(code, agent, space.world) for code in (goal, other))
     return (
-        one.predicate is Predicate.ON is two.predicate
+        one.predicate is PredicateKind.ON is two.predicate
         and (one.subject, one.positive) == (two.subject, two.positive)
         and one.target != two.target
     )
@@ -234,8 +234,8 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    own = [name for name in trees.own_sites(tree) if posterior[name].dtype.kind == "f"]
-    names = (*trees.space_of_tree(tree).strength_sites, *own)
+    users = [name for name in trees.users_sites(tree) if posterior[name].dtype.kind == "f"]
+    names = (*trees.space_of_tree(tree).strength_sites, *users)
     found = {"log_joint": stats["log_joint"], "total_error": stats["total_error"]}
     found |= {name: posterior[name] for name in names}
     return {name: one.values.astype(float) for name, one in found.items()}

@@ -245,7 +245,7 @@ class EventPosterior(Hypotheses):
         """Return the rows of a table in which ``event`` is true, and those in which ``over`` is."""
         columns = dict(self._words.completed(table))
         known = {n: one for n, one in self._quantities.items() if n in columns}
-        for name, definition in self._own.items():
+        for name, definition in self._defined.items():
             with contextlib.suppress(QueryError):  # the table may lack a quantity of the definition
                 known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)
@@ -365,7 +365,7 @@ class EventPosterior(Hypotheses):
 
     def bound(self, prior: Callable[..., object]) -> Callable[..., Any]:
         """Return a prior bound to what was read, as far as it asks for it."""
-        from phase_ppl.models.roles import bound
+        from phase_ppl.models.world_priors import bound
 
         return bound(prior, self.scene, self._video)
 

@@ -19,7 +19,7 @@ from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity, vocabulary_of
+from phase_ppl.analysis.quantities import ScenarioFunction, users_quantity, vocabulary_of
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -105,7 +105,7 @@ class Posterior(EventPosterior):
         words = vocabulary_of(trees.space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
-            known[site], columns[site] = own_quantity(counted, site, columns[site])
+            known[site], columns[site] = users_quantity(counted, site, columns[site])
         groups, parts = (
             chain_groups(tree)[rows.index["chain"]],
             halves(counted, self._weights, rows),
@@ -281,7 +281,7 @@ class Posterior(EventPosterior):
     def _under_weights(self, weights: str, tree: xr.DataTree | None = None) -> Posterior:
         tree, scenario = self._tree if tree is None else tree, self._words.scenario
         other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
-        return other._defining(self._own)
+        return other._defining(self._defined)
 
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.

@@ -111,16 +111,16 @@ def _converted(found: xr.Dataset) -> xr.Dataset:
 
 def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, unless ``found`` was read."""
-    is_own = "samples" in found.attrs
-    is_read = is_own or "log_likelihood" in found
+    users_simulator = "samples" in found.attrs
+    is_read = users_simulator or "log_likelihood" in found
     known = dimensions(space)
-    names = {*_ALWAYS, *(() if is_own else _BY_AGENTS), *(_READ if is_read else _POLICIES)}
-    apart = {*APART, *(() if is_own else _MARGINALS)}
+    names = {*_ALWAYS, *(() if users_simulator else _BY_AGENTS), *(_READ if is_read else _POLICIES)}
+    apart = {*APART, *(() if users_simulator else _MARGINALS)}
     names |= {"log_prior"} if "log_prior" in found else apart
     missing = [name for name in _ATTRS if name not in found.attrs]
     if missing := sorted((*missing, *(name for name in names if name not in found.variables))):
         raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    if is_read and not is_own:  # goals and strengths apart
+    if is_read and not users_simulator:  # goals and strengths apart
         known |= {"log_likelihood": ("time", "read")}
         known |= {"log_likelihood_without": ("planner_seed", "time", "read")}
     for name in names:
@@ -133,7 +133,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     for name, size in sizes.items():
         if found.sizes.get(name, size) != size:
             raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
-    if is_read and not is_own and found.sizes["planner_seed"] == 1:
+    if is_read and not users_simulator and found.sizes["planner_seed"] == 1:
         raise InvalidEventError("planner_seed has 1 entry, expected none or several")
     for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy", 0))):
         if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
@@ -145,7 +145,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     for name in names & {*numbers}:
         values = found[name].values
         # not asked, or not seen
-        unknown = name == "trajectory" or (name == "log_likelihood" and is_own)
+        unknown = name == "trajectory" or (name == "log_likelihood" and users_simulator)
         if (np.isnan(values).any() and not unknown) or (values == np.inf).any():
             raise InvalidEventError(f"{name} has values that are no {numbers[name]}")
 

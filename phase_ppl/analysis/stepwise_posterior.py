@@ -21,11 +21,11 @@ from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
-from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
 from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
 from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
+from phase_ppl.analysis.users_sites import WithSites, with_sites
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.data.hdf5 import read_netcdf, root_attribute
@@ -112,7 +112,7 @@ class StepwisePosterior(EventPosterior):
         """The table of hypotheses and of the sites that a prior of one's own samples beside them.
 
         Questions that name such a site are answered from it
-        (:mod:`phase_ppl.analysis.own_sites`): exactly, where these sites have up to 64
+        (:mod:`phase_ppl.analysis.users_sites`): exactly, where these sites have up to 64
         combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
 
         Raises:
@@ -128,7 +128,7 @@ class StepwisePosterior(EventPosterior):
             )
         prior = self.bound(self._prior)
         found = with_sites(prior, self._table, self._frame, self._words)
-        return found._defining({**self._own, **self._of_sites})
+        return found._defining({**self._defined, **self._of_sites})
 
     @functools.cached_property
     def _site_names(self) -> tuple[str, ...]:
@@ -163,7 +163,7 @@ class StepwisePosterior(EventPosterior):
     def define(self, name: str, definition: Definition) -> Self:
         if self._names_sites(definition):
             self.sites.define(name, definition)
-            if self._own.pop(name, None) is not None:
+            if self._defined.pop(name, None) is not None:
                 self._quantities = {k: one for k, one in self._quantities.items() if k != name}
             self._of_sites[name] = definition
             return self
@@ -186,12 +186,12 @@ class StepwisePosterior(EventPosterior):
         nothing of them.
         """
         same = ((column == column[self._first_alike]).all() for column in columns)
-        return self._table.own or all(same)
+        return self._table.users_simulator or all(same)
 
     @functools.cached_property
     def _first_alike(self) -> IntArray:
         """(row,) the first row with the same goals and alphas; such rows follow each other."""
-        apart = {*self.strengths_of.values(), *self._own}
+        apart = {*self.strengths_of.values(), *self._defined}
         columns = [column for name, column in self._rows.values.items() if name not in apart]
         new = np.any([column[1:] != column[:-1] for column in columns], axis=0)
         place = np.arange(len(self._rows.weights))
@@ -229,7 +229,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def definitions(self) -> dict[str, Definition]:
-        return {**self._own, **self._of_sites}
+        return {**self._defined, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
         from phase_ppl.models.effective import as_given
@@ -258,14 +258,17 @@ class StepwisePosterior(EventPosterior):
     @property
     def tempering(self) -> str:
         weight, of_strengths = float(self._found.attrs["weight"]), self._strength_weight
-        counts = {"goals": weight, "strengths": weight if self._table.own else of_strengths}
+        counts = {
+            "goals": weight,
+            "strengths": weight if self._table.users_simulator else of_strengths,
+        }
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
 
     @property
     def _strength_weight(self) -> float:
         """What a frame counts as evidence for strengths apart; 1 where it is not known."""
-        if self._table.own:
+        if self._table.users_simulator:
             return 1.0
         tracking = self.settings.get("likelihood", {}).get("tracking", {})
         return float(tracking.get("strength_weight", 1.0))
@@ -289,7 +292,7 @@ class StepwisePosterior(EventPosterior):
         was expected is the posterior given the frames before. 0 for the first frame. NaN of all
         with a simulator of one's own, of which no perfect match is known.
         """
-        if self._table.own:
+        if self._table.users_simulator:
             return np.full(self._frame + 1, np.nan)
         found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
@@ -340,7 +343,7 @@ class StepwisePosterior(EventPosterior):
             "surprising_share": float((surprise > SURPRISE).mean()) if known else None,
             "unexplained_most": float(unexplained[1:].max()) if seen else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
-            **of_tracks(observed, self.scene, not self._table.own),
+            **of_tracks(observed, self.scene, not self._table.users_simulator),
         }
         return {**result, **of_reading(result)}
 
@@ -463,7 +466,7 @@ class StepwisePosterior(EventPosterior):
     def _head(self, found: Mapping[str, Any]) -> str:
         seeds = found["planner_seeds"]
         searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
-        if self._table.own:
+        if self._table.users_simulator:
             samples, simulator = self._table.samples, self.settings["model"]["simulator"]
             searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
         return f"{self.event_id}: closed loop, {found['frames']} frames; all hypotheses, {searched}"
@@ -479,7 +482,7 @@ class StepwisePosterior(EventPosterior):
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
-        what = "calls" if self._table.own else "searches"
+        what = "calls" if self._table.users_simulator else "searches"
         words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "

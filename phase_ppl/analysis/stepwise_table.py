@@ -59,7 +59,7 @@ class Table:
         space: the hypotheses of the world.
         prior: which of them there are.
         sampled: whether hypotheses were drawn.
-        own: whether a simulator of one's own was read, strengths along with goals.
+        users_simulator: whether a user's simulator was read, strengths along with goals.
         samples: of it, for each hypothesis and frame; 0 where it has a density; else None.
         is_exact: whether there is no chance in it, so that errors are 0.
         goals: (goals, agent) the combinations of effective goals, of which frames say something.
@@ -68,8 +68,8 @@ class Table:
     def __init__(self, found: xr.Dataset) -> None:
         self.found, self.space = found, space_of(kept_world(found))
         self._weight, self.n_frames = float(found.attrs["weight"]), int(found.sizes["time"])
-        self.own = "samples" in found.attrs
-        self.samples = int(found.attrs["samples"]) if self.own else None
+        self.users_simulator = "samples" in found.attrs
+        self.samples = int(found.attrs["samples"]) if self.users_simulator else None
         self.is_exact = self.samples == 0
         kept = {name: found[name].values for name in ("log_prior", *APART) if name in found}
         self.prior = PriorMasses(self.space, kept, found["combinations"].values)
@@ -199,7 +199,7 @@ class Table:
 
         That is their probabilities now over those before any frame, which were equal.
         """
-        if self.own:
+        if self.users_simulator:
             return np.ones(len(self.combinations))
         found = self.found["strengths"].values[frame]
         return np.maximum(found, 1e-300) * found.size
@@ -210,7 +210,7 @@ class Table:
         -inf where nothing was asked.
         """
         found = self._weight * self.summed(frame)[0][self._goals_of]
-        if self.own:
+        if self.users_simulator:
             return np.where(np.isfinite(self._log_prior), found, -np.inf)
         return np.asarray(found[:, None] + np.log(self.of_strengths(frame)))
 
@@ -219,7 +219,7 @@ class Table:
 
         Strengths that were read along are averaged over, as they are believed to be by then.
         """
-        if not self.own:
+        if not self.users_simulator:
             return np.array([self.of_frame(t)[0] for t in range(self.n_frames)])
         n = len(self.goals)
         masses = np.array(
@@ -263,7 +263,7 @@ class Table:
         A frame counts ``weight``, by default the likelihood's.
         """
         weight = self._weight if weight is None else weight
-        if self.own:
+        if self.users_simulator:
             return np.asarray(np.logaddexp.reduce(self._masses(frame, weight), axis=2))
         rows, of_strengths = self.hypotheses, self.prior.of_strengths @ self.of_strengths(frame)
         so_far = weight * self.summed(frame)[:, self._goals_of]
@@ -309,7 +309,7 @@ class Table:
 
     def strengths(self, frame: int) -> FloatArray:
         """Return (row, combination) probabilities of strengths given a hypothesis; one row: any."""
-        if not self.own:
+        if not self.users_simulator:
             found = self.prior.of_strengths * self.of_strengths(frame)
             return np.asarray(found / found.sum(axis=1, keepdims=True))
         masses = self._masses(frame, self._weight)[0]
@@ -319,7 +319,7 @@ class Table:
 
     def all_log_masses(self, frame: int) -> FloatArray:
         """Return (replicate, row of :meth:`all_columns`) log masses."""
-        if self.own:
+        if self.users_simulator:
             return self._masses(frame, self._weight).reshape(self.n_replicates, -1)
         masses = self.log_masses(frame)
         if not self._with_strengths(len(self.hypotheses.way)):
@@ -330,7 +330,7 @@ class Table:
 
     def _with_strengths(self, n: int) -> bool:
         """Whether so many hypotheses with all strengths are in one table."""
-        depend = self.own or self.prior.log_prior is not None
+        depend = self.users_simulator or self.prior.log_prior is not None
         return depend or n * len(self.combinations) <= MOST_ROWS
 
     def all_columns(self) -> dict[str, NDArray[Any]]:
@@ -363,7 +363,7 @@ class Table:
         weights, n = self.weights(frame), len(self.combinations)
         kept = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
         if self._with_strengths(len(kept)):
-            if self.own:  # each part of the samples has strengths of its own
+            if self.users_simulator:  # each part of the samples has strengths of its own
                 weights = _shares(
                     self._masses(frame, self._weight)[:, kept].reshape(len(weights), -1)
                 )
@@ -405,7 +405,7 @@ def table_of(found: xr.Dataset) -> Table:
             about.
     """
     table = Table(as_written_now(found))
-    if table.own:
+    if table.users_simulator:
         table.check_was_read()
     return table
 

@@ -167,7 +167,7 @@ rest there is the first set alone."""
 _All = Sequence[Sequence[Plans]]  # (set, agent)
 
 
-class Reading(NamedTuple):
+class FrameReading(NamedTuple):
     """What one frame says."""
 
     density: FloatArray  # (joint action,) see :class:`GoalFilter`, and so the next
@@ -273,10 +273,10 @@ class GoalFilter:
     def close(self) -> None:
         self._sets.close()
 
-    def at_start(self) -> Reading:
+    def at_start(self) -> FrameReading:
         """Return what is known before the first frame: nothing."""
         n, n_agents = self.combinations.shape
-        return Reading(
+        return FrameReading(
             np.zeros(N_ACTIONS**n_agents),
             np.full((n_agents, 1, len(self._sets), N_ACTIONS), 1 / N_ACTIONS, np.float32),
             np.zeros((n_agents, max(one.n for one in self._standpoints)), np.int32),
@@ -288,7 +288,7 @@ class GoalFilter:
             *(0.0, 0.0, 0),
         )
 
-    def read(self, frame: FloatArray) -> Reading:
+    def read(self, frame: FloatArray) -> FrameReading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen."""
         hidden = self._sets.hidden
         plans = self._sets.plans(self._choose_wanted())
@@ -313,7 +313,7 @@ class GoalFilter:
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
         searched = [len(root.actions) > 1 for each in plans for one in each for root in one.roots]
-        return Reading(
+        return FrameReading(
             log_density.ravel(),
             stacked(policies).astype(np.float32),  # searches are coarser than single precision
             stacked(policy_of).astype(np.int32),

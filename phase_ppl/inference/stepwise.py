@@ -19,7 +19,7 @@ from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
 from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
-from phase_ppl.closed_loop.own_simulator import SimulatorFilter
+from phase_ppl.closed_loop.users_simulator import SimulatorFilter
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.prior_masses import PriorMasses
@@ -110,20 +110,20 @@ class Watch:
         self._table: Table | None = None
         self._torn = False  # a frame was begun and not finished
         self._clock: Clock | None = None  # of frames with time stamps
-        self._own = self.model.simulator is not None
-        self._weight = likelihood.frame_weight(self._own)
+        self._users_simulator = self.model.simulator is not None
+        self._weight = likelihood.frame_weight(self._users_simulator)
         self._levels = likelihood.tracking.strengths
         prior = for_table(self.model.prior, scene, observation)
         kept, attrs = stepwise_prior(prior, scene.world, self._levels)
         self._constant: dict[str, Any] = dict(kept)  # what does not change from frame to frame
         self._attrs: dict[str, Any] = dict(attrs)
-        self._filter = self._own_filter() if self._own else self._joint_filter()
+        self._filter = self._simulator_filter() if self._users_simulator else self._goal_filter()
         self._keep(self._filter.at_start()._asdict())
 
     def _prior_masses(self, combinations: FloatArray) -> PriorMasses:
         return PriorMasses(space_of(self._scene.world), self._constant, combinations)
 
-    def _joint_filter(self) -> GoalFilter:
+    def _goal_filter(self) -> GoalFilter:
         likelihood, of = self._likelihood, self._scene
         sets = SearchSets(
             *(of, self.model.planner_config(), likelihood.tracking, self._seed, self.threads),
@@ -134,7 +134,7 @@ class Watch:
         log_goals = self._constant.get("log_prior_goals")
         return GoalFilter(sets, likelihood.conduct, self._weight, followed, log_goals)
 
-    def _own_filter(self) -> SimulatorFilter:
+    def _simulator_filter(self) -> SimulatorFilter:
         levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))
         asked = self._prior_masses(np.array(list(levels))).to_read()
         self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
@@ -187,7 +187,7 @@ class Watch:
         name = f"frame {len(self._frames)}"
         pose = finite_array(name, frame, (len(self._scene.world.entities), 3), unseen=True)
         check_inside(pose[None], self._scene, name)
-        if self._own and has_density(self.model.simulator) and np.isnan(pose).any():
+        if self._users_simulator and has_density(self.model.simulator) and np.isnan(pose).any():
             raise InvalidEventError(
                 f"{name} does not show all bodies, and log_prob_next is a density of whole frames: "
                 f"a simulator with {NEXT_FRAMES} instead can be read with gaps"
@@ -251,7 +251,7 @@ class Watch:
         }
         cost = {
             "searches": self._counts["searches"],
-            **({"calls": self._counts["calls"]} if self._own else {}),
+            **({"calls": self._counts["calls"]} if self._users_simulator else {}),
             "frames": n,
             "seconds": time.perf_counter() - self._begun,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,

@@ -46,7 +46,7 @@ from phase_ppl.models.effective import (
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import Lookup
-from phase_ppl.models.roles import log_prior_of_effective
+from phase_ppl.models.world_priors import log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation

@@ -21,7 +21,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.models import prior_masses
-from phase_ppl.models.roles import bound, masses
+from phase_ppl.models.world_priors import bound, masses
 from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError

@@ -29,7 +29,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.scene import Scene
 
 N_FRAMES = 5
@@ -251,7 +251,7 @@ def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> I
         yield frame.copy()
         for agent, goal in enumerate(hypothesis.effective_goals):
             literal = goal_literal(goal, agent)
-            on = literal.predicate is Predicate.ON
+            on = literal.predicate is PredicateKind.ON
             target = scene.landmark_centres[literal.target] if on else frame[literal.target, :2]
             way = (target - frame[literal.subject, :2]) * (1 if literal.positive else -1)
             step = hypothesis.strengths[agent] / 600 * way / max(float(np.linalg.norm(way)), 1.0)

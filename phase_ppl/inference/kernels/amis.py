@@ -42,8 +42,8 @@ from phase_ppl.models.density import Program, Sites, compiled_quickly, log_densi
 from phase_ppl.models.effective import WorldPrior, prior_table, space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import effective_goals
-from phase_ppl.models.roles import masses_of
 from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.world_priors import masses_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE

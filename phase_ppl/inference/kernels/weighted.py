@@ -30,7 +30,7 @@ from phase_ppl.models.effective import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.roles import drawn_stated, effective_goals, log_prior_of_effective
+from phase_ppl.models.world_priors import drawn_stated, effective_goals, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
 from phase_ppl.world.hypothesis import STRENGTH_RANGE

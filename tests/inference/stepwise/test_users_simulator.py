@@ -15,9 +15,9 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.closed_loop import own_simulator
+from phase_ppl.closed_loop import users_simulator
 from phase_ppl.inference.table_run import ReadTable
-from phase_ppl.models import prior_masses, roles, sites
+from phase_ppl.models import prior_masses, sites, world_priors
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.hypothesis import Hypothesis, all_ways
@@ -160,7 +160,7 @@ def of_three(world: ppl.World) -> None:
     for key in world.keys:
         probs = jnp.zeros(len(world.goals)).at[jnp.array(OWN_GOALS)].set(jnp.array(OWN_MASS))
         numpyro.sample(f"goal_{key}", dist.Categorical(probs=probs))
-    roles.company(world, social=0.5)
+    world_priors.company(world, social=0.5)
     for key in world.keys:
         numpyro.sample(f"strength_{key}", sites.OneOf(STRONG, [0.25, 0.75]))
 
@@ -222,7 +222,7 @@ def test_errors_by_samples_are_what_seeds_differ_by() -> None:
 def test_watching_says_the_same_as_reading_and_processes_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(own_simulator, "WORTH_PROCESSES", 0.0)
+    monkeypatch.setattr(users_simulator, "WORTH_PROCESSES", 0.0)
     given = model(Draws(), samples=20, tracking=FEW)
     whole = infer(Draws(), samples=20, tracking=FEW)
     with ppl.watch(EVENT.scene, given, threads=2) as watch:

@@ -76,7 +76,7 @@ class WithSites(Hypotheses):
 
         The values of further sites count where there are all of them.
         """
-        derived = {*self._words.quantities, *self._own}
+        derived = {*self._words.quantities, *self._defined}
         sites = [name for name in self._quantities if name not in derived]
         known = [name for name in self._words.space.kept_columns if name in self._rows.values]
         if len(known) < len(self._words.space.kept_columns):  # stated goals are PHASE's
