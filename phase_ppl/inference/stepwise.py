@@ -301,31 +301,6 @@ class StepwiseInterrupted(KeyboardInterrupt):
         self.posterior = posterior
 
 
-def filter_event(
-    event: Event,
-    model: Model,
-    *,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: bool | None = None,
-) -> StepwisePosterior:
-    """Return the posterior over all hypotheses given the whole video.
-
-    Args:
-        event: what to explain; only scene, observation and id are read.
-        model: with a :class:`phase_ppl.StepwiseLikelihood`.
-        seed, threads: as of :class:`Watch`; by default one per usable core.
-        progress: whether to show a bar on stderr, with the time that is left; by default where
-            that is a terminal. Elsewhere one line says how long it will take, if that is more
-            than a minute; with False nothing does.
-    """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-    return StepwisePosterior(
-        filtered_frames(event, model, seed, threads, progress), prior=model.prior
-    )
-
-
 def filtered_frames(
     event: Event,
     model: Model,
@@ -333,7 +308,16 @@ def filtered_frames(
     threads: int | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """Return what the posterior of :func:`filter_event` is made of."""
+    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_file`).
+
+    Args:
+        event: what to explain; only scene, observation and id are read.
+        model: prior, and planner or simulator.
+        seed, threads: as of :class:`Watch`; by default one per usable core.
+        progress: whether to show a bar on stderr, with the time that is left; by default where
+            that is a terminal. Elsewhere one line says how long it will take, if that is more
+            than a minute; with False nothing does.
+    """
     scene, seen = event.scene, event.observation
     options: dict[str, Any] = {"seed": seed, "threads": threads, "event_id": event.id}
     with Watch(scene, model, observation=seen, **options) as watching:

@@ -34,7 +34,7 @@ from numpyro import handlers
 
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.weights import log_sum_exp, normalised
-from phase_ppl.inference.guide import Mixture, Replaced, estimated, strength_distribution
+from phase_ppl.inference.guide import Guide, Replaced, estimated, strength_distribution
 from phase_ppl.inference.kernels.weighted import Importance
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Record
@@ -89,7 +89,7 @@ class Proposal(NamedTuple):
 
 def guide_of(
     prior: Program, sites: Mapping[str, tuple[int, ...]], proposal: Proposal, prior_share: float
-) -> Mixture:
+) -> Guide:
     """Return the NumPyro program that draws from a proposal or, with its share, from the prior."""
     space = space_of_prior(prior)
 
@@ -114,7 +114,7 @@ def guide_of(
             prior()
 
     programs = (fitted, lambda _: prior())
-    return Mixture(programs, (1 - prior_share, prior_share), sites)
+    return Guide(programs, (1 - prior_share, prior_share), sites)
 
 
 @register_kernel(
@@ -124,7 +124,6 @@ def guide_of(
     keeps="start",
     weighted=True,
     any_length=True,
-    adapts=True,
 )
 class AMIS(Importance):
     """Adaptive multiple importance sampling, for simulators that take milliseconds.
@@ -136,7 +135,7 @@ class AMIS(Importance):
     adapts = True
 
     @property
-    def guide(self) -> Program:
+    def guide(self) -> Guide:
         """The current proposal; only a run of ``infer`` fits it to its draws."""
         if self._guide is None:
             raise InvalidSettingError(
@@ -145,10 +144,10 @@ class AMIS(Importance):
         return super().guide
 
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        return self.draw_guide(key, 0), jnp.asarray(-1, jnp.int32)
+        return self.guide.draw(key, 0), jnp.asarray(-1, jnp.int32)
 
     def _log_proposal(self, sites: Sites) -> jax.Array:
-        return log_density(self.guide, sites, 0)
+        return self.guide.log_prob(sites, 0)
 
 
 class Adaptation:
