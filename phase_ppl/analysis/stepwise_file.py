@@ -21,11 +21,8 @@ from phase_ppl.world.space import HypothesisSpace, space_of
 
 SCHEMA: Final = "phase_ppl/stepwise/3"
 _OF_PAIRS: Final = "phase_ppl/stepwise/2"  # in PHASE, log likelihoods by pair of goals
-SCHEMAS: Final = (
-    *(SCHEMA, _OF_PAIRS, "phase_ppl/stepwise-roles/1"),
-    *("phase_ppl/stepwise-own/1", "phase_ppl/stepwise-own-roles/1"),
-)
-"""Of files of posteriors of the closed loop; all but the first are of older versions."""
+SCHEMAS: Final = (SCHEMA, _OF_PAIRS)
+"""Of files of posteriors of the closed loop; the second is of version 0.1.0."""
 
 _ATTRS: Final = ("event_id", "settings", "cost", "weight")
 _ALWAYS: Final = {
@@ -83,29 +80,22 @@ def labels(space: HypothesisSpace, levels: tuple[float, ...]) -> dict[str, list[
 
 
 def _converted(found: xr.Dataset) -> xr.Dataset:
-    """Return what an older version wrote as this one does."""
-    schema = found.attrs.get("schema")
-    if schema == SCHEMA:
+    """Return what version 0.1.0 wrote as this one does."""
+    if found.attrs["schema"] == SCHEMA:
         return found
-    found = found.copy()
-    if "strength_red" in found.dims:
-        levels = [found[name].values for name in ("strength_red", "strength_green")]
-        found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
-    if "policies" in found:
-        n = found.sizes["planner_seed"]
-        found["shift"] = _POLICIES["shift"], np.zeros((found.sizes["time"], n + 1 if n > 1 else 1))
-    if schema == _OF_PAIRS:
-        pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
-        with_pairs = {
-            name: (("planner_seed", "time")[1 - many :], found[name].values)
-            for many, name in enumerate(("log_likelihood", "log_likelihood_without"))
-        }
-        strengths = found["strengths"].values
-        found = found.drop_dims(("goal_red", "goal_green")).drop_vars("strengths")
-        found["goals"] = _READ["goals"], pairs
-        found["strengths"] = _BY_AGENTS["strengths"], strengths.reshape(len(strengths), -1)
-        for name, (dims, values) in with_pairs.items():
-            found[name] = (*dims, "read"), values.reshape(*values.shape[:-2], len(pairs))
+    levels = [found[name].values for name in ("strength_red", "strength_green")]
+    pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
+    with_pairs = {
+        name: (("planner_seed", "time")[1 - many :], found[name].values)
+        for many, name in enumerate(("log_likelihood", "log_likelihood_without"))
+    }
+    strengths = found["strengths"].values
+    found = found.drop_dims(("goal_red", "goal_green")).drop_vars("strengths")
+    found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
+    found["goals"] = _READ["goals"], pairs
+    found["strengths"] = _BY_AGENTS["strengths"], strengths.reshape(len(strengths), -1)
+    for name, (dims, values) in with_pairs.items():
+        found[name] = (*dims, "read"), values.reshape(*values.shape[:-2], len(pairs))
     return found.assign_attrs(schema=SCHEMA)
 
 

@@ -158,6 +158,12 @@ def all_ways(n_agents: int) -> tuple[Towards, ...]:
     )
 
 
+def _argument_names(world: World) -> tuple[str, ...]:
+    """Return the arguments of ``Hypothesis``; none in a world where only ``Hypothesis.of`` does."""
+    names = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
+    return names if world == PHASE else ()
+
+
 @dataclasses.dataclass(frozen=True, repr=False, init=False)
 class Hypothesis(Printed):
     """Who wants what, whom each helps or hinders, and how strong all are.
@@ -393,14 +399,10 @@ class Hypothesis(Printed):
     @property
     def _arguments(self) -> dict[str, Any] | None:
         """What makes the same hypothesis of PHASE; None in a world where only :meth:`of` does."""
-        if self.world != PHASE:
+        if not (names := _argument_names(self.world)):
             return None
-        goals, keys = self.world.goals, self.world.keys
-        return {
-            **{f"goal_{key}": goals[getattr(self, f"goal_{key}")] for key in keys},
-            "alpha": list(self.alpha),
-            **{f"strength_{k}": one for k, one in zip(keys, self.strengths, strict=True)},
-        }
+        goals = [self.world.goals[getattr(self, name)] for name in names[:2]]
+        return dict(zip(names, [*goals, list(self.alpha), *self.strengths], strict=True))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads: names, strengths in newtons."""
@@ -422,12 +424,10 @@ class Hypothesis(Printed):
             UnknownNameError: a field that a hypothesis does not have.
             InvalidSettingError: a goal is missing; and as of :meth:`of`.
         """
-        in_phase = world == PHASE
-        names = ["goal_red", "goal_green", "alpha", "strength_red", "strength_green"]
+        names = _argument_names(world)
         for name in record:
-            known = names if in_phase else ["goals", "relation", "strengths"]
-            check_name("field of a hypothesis", name, known)
-        if in_phase:
+            check_name("field of a hypothesis", name, names or ("goals", "relation", "strengths"))
+        if names:
             if missing := [name for name in names[:2] if name not in record]:
                 raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
             return cls(**record)

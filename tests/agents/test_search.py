@@ -170,11 +170,9 @@ def test_impossible_settings_are_refused(setting: str, value: float) -> None:
         PlannerConfig(**{setting: value})  # type: ignore[arg-type]
 
 
-def test_settings_of_an_older_version_are_read_where_they_mean_the_same() -> None:
+def test_settings_are_read_as_they_were_written() -> None:
     config = PlannerConfig(simulations=7, paired=True)
-    assert PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": False}) == config
-    with pytest.raises(InvalidSettingError, match="tree_reuse=True: that setting was removed"):
-        PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": True})
+    assert PlannerConfig.from_dict(config.to_dict()) == config
     with pytest.raises(UnknownNameError, match="did you mean 'paired'"):
         PlannerConfig.from_dict({**config.to_dict(), "pairs": True})
     with pytest.raises(UnknownNameError, match="'fast'"):
