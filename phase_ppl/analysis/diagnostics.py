@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import tree as trees
-from phase_ppl.analysis.estimate import total_variation, worth
+from phase_ppl.analysis.estimate import kish_size, total_variation
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
 from phase_ppl.analysis.weights import Rows
@@ -140,8 +140,8 @@ def diagnostics(
         "move_rate": np.diff(goals, axis=1).any(axis=-1).mean() if n_draws > 1 else None,
         "distinct_hypotheses": len(hypotheses.drop_duplicates()),
         "distinct_goal_pairs": len(np.unique(goals.reshape(-1, space.n_agents), axis=0)),
-        "effective_rows": worth(rows.weights),
-        "weighted_draws_ess": worth(draw_weights) / draw_weights.size if weighted else None,
+        "effective_rows": kish_size(rows.weights),
+        "weighted_draws_ess": kish_size(draw_weights) / draw_weights.size if weighted else None,
         **{
             key: {name: one[key] for name, one in by_goal.items()}
             for key in ("agreement", "leading_goals", "between_chain_tv")

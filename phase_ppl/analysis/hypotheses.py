@@ -276,7 +276,7 @@ class Hypotheses(Printed):
         return Mode(label, doubt(mass, without, without_each, of._size_of(rows), luck))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
-        """Return the leading goals and relation, and whether it is sure that they lead.
+        """Return the marginal MAP goals and relation, and whether it is sure that they lead.
 
         Returns:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
@@ -570,7 +570,7 @@ class Hypotheses(Printed):
 
     def _most_effective(self) -> float:
         """Return how many independent draws the weights can be worth at most (Kish)."""
-        return estimate.worth(self._rows.weights)
+        return estimate.kish_size(self._rows.weights)
 
     def _size_of(self, rows: NDArray[np.bool_]) -> float:
         """Return how many independent draws those of ``rows`` would be as sure as; or NaN."""

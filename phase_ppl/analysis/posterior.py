@@ -187,14 +187,14 @@ class Posterior(EventPosterior):
         }
         frame = pd.DataFrame({**columns, "sim_seed": stats["sim_seed"].values.ravel()})
         visited = frame.groupby(names, sort=False).ngroup().to_numpy()
-        size = estimate.worth(estimate.shares(visited, self._rows.weights))
+        size = estimate.kish_size(estimate.shares(visited, self._rows.weights))
         if len(stats["draw"]) == 1 and "log_evidence" in stats:
             # a population was resampled repeatedly
             return size / 2
         if not are_equal(self._rows.weights) or trees.are_weighted(self._counted):
             return size
         level = stats["log_joint"].values.mean(axis=1)
-        arrived = estimate.worth(normalised(np.where(np.isfinite(level), level, -np.inf)))
+        arrived = estimate.kish_size(normalised(np.where(np.isfinite(level), level, -np.inf)))
         return size if arrived >= _ARRIVED * len(level) else min(size, arrived)
 
     @classmethod
@@ -271,7 +271,10 @@ class Posterior(EventPosterior):
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = trees.reweighted(self._tree, self.bound(prior))
         changed = self._under_weights(self._weights, tree)
-        sizes = estimate.worth(changed.table.weights), estimate.worth(self.table.weights)
+        sizes = (
+            estimate.kish_size(changed.table.weights),
+            estimate.kish_size(self.table.weights),
+        )
         trees.check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = trees.settings_under(
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]

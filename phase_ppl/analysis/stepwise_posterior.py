@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
-from phase_ppl.analysis.estimate import Estimate, Jackknife, worth
+from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
@@ -494,7 +494,7 @@ class StepwisePosterior(EventPosterior):
         table = self._table
         if not table.sampled:
             return []
-        n = worth(table.weights(self._frame)[0])
+        n = kish_size(table.weights(self._frame)[0])
         return wrapped(
             "hypotheses",
             f"of {table.prior.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "

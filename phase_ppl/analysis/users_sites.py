@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, kish_size, leaving_out
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import Table
@@ -57,7 +57,7 @@ class WithSites(Hypotheses):
     @functools.cached_property
     def _effective_size(self) -> float:
         """The number of equal draws that those here are worth; NaN where there are all values."""
-        return math.nan if self.summed else worth(self._rows.weights)
+        return math.nan if self.summed else kish_size(self._rows.weights)
 
     def _has_error(self, *columns: NDArray[Any]) -> bool:
         """Return whether no column depends on strengths, as in the closed loop.

@@ -51,13 +51,13 @@ class Plans(NamedTuple):
     intent_of: IntArray
 
 
-class Conduct(NamedTuple):
-    """How agents act on their plans."""
+class ActionPolicy(NamedTuple):
+    """How agents act on their plans: a softmax policy with lapses."""
 
-    sharpness: float  # exponent of a search's root visits
+    sharpness: float  # exponent of a search's root visits, an inverse temperature
     lapse: float  # probability, by frame, that an agent does anything whatever
 
-    def policy(self, root: RootStatistics) -> FloatArray:
+    def of(self, root: RootStatistics) -> FloatArray:
         """Return (action,) probabilities of an agent, from what its search found.
 
         pi = (1 - lapse) visits^sharpness / Z + lapse / |A|
@@ -186,7 +186,7 @@ class FrameReading(NamedTuple):
     searches: int  # searches that were made
 
 
-def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[IntArray]]:
+def policies_of(plans: _All, policy: ActionPolicy) -> tuple[list[FloatArray], list[IntArray]]:
     """Return (agent) (policy, set, action) different policies, and (agent) (standpoint,) which.
 
     NaN where a set was not to search; all actions are alike for what nobody can want.
@@ -197,7 +197,7 @@ def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[I
         kinds, number = np.unique(intents, axis=0, return_inverse=True)
         of_sets = []
         for place, one in enumerate(sets):
-            found = [conduct.policy(root) for root in one.roots]
+            found = [policy.of(root) for root in one.roots]
             found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
             own = np.array(found)[kinds[:, place]]
             own[(kinds[:, place] == NO_INTENT) & (kinds[:, 0] != NO_INTENT)] = np.nan
@@ -233,7 +233,7 @@ class GoalFilter:
 
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
-        conduct: how agents act on their plans.
+        policy: how agents act on their plans.
         weight: what a frame counts as evidence.
         followed: combinations of effective goals (row, agent), and their log prior masses. With the
             weight these say which are probable by now, for which all sets search. None: they are
@@ -246,12 +246,12 @@ class GoalFilter:
     def __init__(
         self,
         sets: SearchSets,
-        conduct: Conduct,
+        policy: ActionPolicy,
         weight: float,
         followed: tuple[IntArray, FloatArray] | None,
         log_goals: FloatArray | None = None,
     ) -> None:
-        self._sets, self._conduct, self._weight = sets, conduct, weight
+        self._sets, self._policy, self._weight = sets, policy, weight
         self.combinations = sets.hidden.combinations
         world = sets.scene.world
         self._standpoints = [standpoints(agent, world) for agent in range(len(world.agents))]
@@ -292,7 +292,7 @@ class GoalFilter:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen."""
         hidden = self._sets.hidden
         plans = self._sets.plans(self._choose_wanted())
-        policies, policy_of = policies_of(plans, self._conduct)
+        policies, policy_of = policies_of(plans, self._policy)
         unseen = np.isnan(frame[: len(self._standpoints)]).any(axis=1)
         expected = self._expected(policies, policy_of) if unseen.any() else None
         log_density = hidden.advance(frame, self._sets.map, expected)
@@ -439,6 +439,6 @@ def warm_up() -> None:
     scene = scene_in_reach()
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
     sets, followed = SearchSets(scene, planner, tracking), (np.array([[0, 1]]), np.zeros(1))
-    with contextlib.closing(GoalFilter(sets, Conduct(1.0, 1.0), 1.0, followed)) as goals:
+    with contextlib.closing(GoalFilter(sets, ActionPolicy(1.0, 1.0), 1.0, followed)) as goals:
         for _ in range(2):
             goals.read(scene.start)

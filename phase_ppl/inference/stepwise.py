@@ -132,7 +132,7 @@ class Watch:
         self._constant["combinations"] = combinations = sets.hidden.combinations
         followed = self._prior_masses(combinations).followed()
         log_goals = self._constant.get("log_prior_goals")
-        return GoalFilter(sets, likelihood.conduct, self._weight, followed, log_goals)
+        return GoalFilter(sets, likelihood.policy, self._weight, followed, log_goals)
 
     def _simulator_filter(self) -> SimulatorFilter:
         levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))

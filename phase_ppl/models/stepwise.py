@@ -16,7 +16,7 @@ import json
 from collections.abc import Callable
 from typing import Any, Final
 
-from phase_ppl.closed_loop.goal_filter import Conduct
+from phase_ppl.closed_loop.goal_filter import ActionPolicy
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models import effective, world_priors
 from phase_ppl.world.arrays import FloatArray
@@ -61,7 +61,7 @@ class StepwiseLikelihood:
     least, and ``noise``, which adds to it, 0 if it is None.
 
     Attributes:
-        sharpness: exponent of the visits.
+        sharpness: exponent of the visits, the inverse temperature of a policy.
         lapse: probability, by frame, that an agent does anything whatever.
         weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
             simulator of one's own.
@@ -102,9 +102,9 @@ class StepwiseLikelihood:
         return usual if self.weight is None else float(self.weight)
 
     @property
-    def conduct(self) -> Conduct:
+    def policy(self) -> ActionPolicy:
         """How agents act on their plans."""
-        return Conduct(self.sharpness, self.lapse)
+        return ActionPolicy(self.sharpness, self.lapse)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""

@@ -32,7 +32,7 @@ import numpyro.distributions as dist
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.estimate import kish_size
 from phase_ppl.analysis.weights import log_sum_exp, normalised
 from phase_ppl.inference.guide import Guide, Replaced, estimated, strength_distribution
 from phase_ppl.inference.kernels.weighted import Importance
@@ -445,7 +445,7 @@ def _power_of(log_likelihood: FloatArray, log_ratio: FloatArray) -> float:
     """Return the highest power, at most ``POWER``, that leaves ``EFFECTIVE`` rows (Kish)."""
 
     def is_enough(power: float) -> bool:
-        return worth(normalised(log_ratio + power * log_likelihood)) >= EFFECTIVE
+        return kish_size(normalised(log_ratio + power * log_likelihood)) >= EFFECTIVE
 
     low, high = 0.0, POWER
     if is_enough(high):
