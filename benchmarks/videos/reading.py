@@ -60,8 +60,8 @@ class Told(HiddenState):
     """A filter that is told the actions."""
 
     def tell(self, pair: NDArray[np.int64]) -> None:
-        self._log_prior = np.full(len(Action) ** 2, -np.inf)
-        self._log_prior[pair[0] * len(Action) + pair[1]] = 0.0
+        self._log_share = np.full(len(Action) ** 2, -np.inf)
+        self._log_share[pair[0] * len(Action) + pair[1]] = 0.0
 
 
 def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:

@@ -158,7 +158,8 @@ class StepwisePosterior(EventPosterior):
         except QueryError:
             if self._prior is None or not self._site_names:
                 raise
-            return self.sites.query(question)  # its error knows the further names
+            # it may name a further site, which words alone do not tell; else the error does
+            return self.sites.query(question)
 
     def define(self, name: str, definition: Definition) -> Self:
         if self._names_sites(definition):

@@ -229,7 +229,7 @@ class GoalFilter:
     ``marginals``
         (agent, goal) log masses of each agent's goal, the others taken to act as is believed of
         them: approximate, to draw hypotheses from where they are too many. None without
-        ``log_goals``.
+        ``log_goals``, as in PHASE, whose hypotheses are all in a table.
 
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
