@@ -476,9 +476,10 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
+        counted = "frames in full"
         if self._strength_weight != 1:
-            evidence += f"; as evidence for strengths a frame counts {self._strength_weight:g}"
+            counted += f"; tempered {self._strength_weight:g} for strengths"
+        evidence = f"log density of the video, {self.log_evidence:.1f} nats ({counted})"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")

@@ -221,7 +221,7 @@ def _decided(leaders: Record, advice: str) -> Check:
     ]
     says, value = (
         f"Not decided: {'; '.join(open_ones)}.",
-        f"{sure} of {len(leaders)}, beyond errors",
+        f"{sure} of {len(leaders)}, allowing for errors",
     )
     return Check("answers above 1/2", "doubt" if open_ones else "ok", value, "all", says, advice)
 
@@ -467,7 +467,7 @@ def _explained(found: Record, users_simulator: bool) -> Check:
         return Check(name, "fail", f"all but {len(frames)}", "all", says, _TRACKS)
     if most is None:
         return Check(name, "ok", "all", "all")
-    return Check(name, "ok", f"all, within {most:.0f} nats", f"{UNEXPLAINED:.0f} nats")
+    return Check(name, "ok", f"all, within {most:.0f} nats", f"{UNEXPLAINED:.0f} nats or less")
 
 
 def _expected(found: Record) -> Check:

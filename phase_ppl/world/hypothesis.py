@@ -380,8 +380,8 @@ class Hypothesis(Printed):
             raise AttributeError(name)
         if name in ("alpha", "relation", "scenario"):
             raise AttributeError(
-                f"{name} is of two agents, of which {self.world.name!r} has others: ask for "
-                "relation_between, scenario_between or stances"
+                f"{name} needs a world of exactly two agents; {self.world.name!r} has "
+                f"{len(self.world.agents)}: use relation_between, scenario_between or stances"
             )
         what, _, key = name.partition("_")
         if what not in ("goal", "strength"):
@@ -436,7 +436,8 @@ class Hypothesis(Printed):
         told = record.get("relation", [])
         if not isinstance(told, list) or not all(isinstance(r, list) and len(r) == 3 for r in told):
             raise InvalidSettingError(
-                f"relation {shown(told)}, expected a list of [who, whom, word]"
+                f"relation {shown(told)}, expected one list per pair: "
+                '[agent, agent, "help" or "hinder"]'
             )
         pairs = {(who, whom): word for who, whom, word in told}
         return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))

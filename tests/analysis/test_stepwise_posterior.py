@@ -181,7 +181,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     of_strengths = StepwisePosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
     assert tempering in str(of_strengths)
-    counted = "every frame counted in full; as evidence for strengths a frame counts 0.05"
+    counted = "nats (frames in full; tempered 0.05 for strengths)"
     assert counted in " ".join(str(of_strengths).split())
     for told in (of_strengths.why("relation=friendly"), of_strengths.over_time()):
         assert told.attrs["tempering"] == tempering
