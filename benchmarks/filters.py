@@ -29,7 +29,7 @@ from phase_ppl.data.generation.making import (
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.names import AGENTS, ENTITIES, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, PredicateKind
 
 PUSHING: Final = [ACTION_NAMES[action] for action in PUSHES]
 """Names of actions that push, in the recovered ones."""
@@ -59,7 +59,7 @@ def taking_part(case: Case) -> int:
     part = 0
     for agent, goal in enumerate(case.goals):
         literal = goal_literal(goal, agent)
-        about_item = literal.predicate is Predicate.ON and literal.subject >= len(AGENTS)
+        about_item = literal.predicate is PredicateKind.ON and literal.subject >= len(AGENTS)
         part += not about_item or ENTITIES[literal.subject] in case.found["touched"][agent]
     return part
 

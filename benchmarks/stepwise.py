@@ -34,7 +34,7 @@ import numpy as np
 from videos import own, reading
 
 import phase_ppl as ppl
-from phase_ppl.closed_loop.goal_filter import Conduct
+from phase_ppl.closed_loop.goal_filter import ActionPolicy
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
@@ -100,11 +100,11 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
     # a lower weight has more pairs of goals searched by all sets than those that are compared
     kept = kept_readings(events, StepwiseLikelihood(weight=min(WEIGHT)), options.keep)
     found: dict[str, Any] = {}
-    names = ("sets", *Conduct._fields, "weight", "nats")
+    names = ("sets", *ActionPolicy._fields, "weight", "nats")
     print("".join(f"{name:>10}" for name in names), f"  end: {reading.HEAD}; half: {reading.HEAD}")
     for seeds, sharpness, lapse in itertools.product(SEEDS, SHARPNESS, LAPSE):
-        conduct = Conduct(sharpness, lapse)
-        tables = [one.log_likelihood(conduct, 1.0, seeds).cumsum(axis=0) for one in kept]
+        policy = ActionPolicy(sharpness, lapse)
+        tables = [one.log_likelihood(policy, 1.0, seeds).cumsum(axis=0) for one in kept]
         per_frame = sum(
             float(table[-1][one.truth]) for one, table in zip(kept, tables, strict=True)
         ) / sum(one.n_steps for one in kept)
@@ -118,7 +118,7 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
                 )
                 for share in (1.0, 0.5)
             )
-            settings = (seeds, *conduct, weight)
+            settings = (seeds, *policy, weight)
             found[", ".join(f"{value:g}" for value in settings)] = {
                 "nats_per_frame": per_frame,
                 "end": end._asdict(),
@@ -139,7 +139,7 @@ def calibration(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {}
     print(f"{'sets':>4}{'weight':>7}   {reading.HEAD}")
     for seeds, weight in itertools.product(SEEDS, WEIGHT):
-        tables = [one.log_likelihood(likelihood.conduct, weight, seeds).sum(axis=0) for one in kept]
+        tables = [one.log_likelihood(likelihood.policy, weight, seeds).sum(axis=0) for one in kept]
         scores = reading.Scores.of(
             [one.scores(table, weight) for one, table in zip(kept, tables, strict=True)]
         )

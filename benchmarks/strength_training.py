@@ -49,7 +49,7 @@ from phase_ppl.world.names import (
     PINK_ITEM,
     RED,
     Literal,
-    Predicate,
+    PredicateKind,
 )
 from phase_ppl.world.scene import TURNINGS, Scene
 
@@ -100,9 +100,9 @@ def draw_hypothesis(rng: np.random.Generator) -> Hypothesis:
     literal = goal_literal(first, RED)
     if company == "social":
         alpha = ALPHAS[rng.integers(1, len(ALPHAS))]
-    elif company == "same" and literal.predicate is Predicate.ON:
+    elif company == "same" and literal.predicate is PredicateKind.ON:
         second = first
-    elif company == "rival" and literal.predicate is Predicate.ON:
+    elif company == "rival" and literal.predicate is PredicateKind.ON:
         others = [landmark for landmark in range(len(LANDMARKS)) if landmark != literal.target]
         second = literal_goal(literal._replace(target=int(rng.choice(others))))
     levels = rng.random(2) < LEVEL_SHARE
@@ -114,9 +114,11 @@ def _own_goal(rng: np.random.Generator, holder: int) -> int:
     """Return an item or the agent itself on a landmark, or the agents together or apart."""
     kind = rng.choice(list(OWN_GOALS), p=list(OWN_GOALS.values()))
     if kind == "agents":
-        return literal_goal(Literal(Predicate.TOUCH, holder, 1 - holder, bool(rng.random() < 0.5)))
+        return literal_goal(
+            Literal(PredicateKind.TOUCH, holder, 1 - holder, bool(rng.random() < 0.5))
+        )
     subject = int(rng.choice((BLUE_ITEM, PINK_ITEM))) if kind == "item" else holder
-    return literal_goal(Literal(Predicate.ON, subject, int(rng.integers(len(LANDMARKS))), True))
+    return literal_goal(Literal(PredicateKind.ON, subject, int(rng.integers(len(LANDMARKS))), True))
 
 
 def in_processes(draw: Callable[[int], Result], n: int, workers: int) -> list[Result]:

@@ -16,7 +16,7 @@ import numpyro.distributions as dist
 import phase_ppl as ppl
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 
 GOALS = {
     "goal_red": ("get to green agent", "Get red agent to red lm", "Get red agent to blue lm"),
@@ -33,7 +33,7 @@ class Walkers:
         found = now.copy()
         for agent, goal in enumerate(hypothesis.effective_goals):
             wanted = goal_literal(goal, agent)
-            to_landmark = wanted.predicate is Predicate.ON
+            to_landmark = wanted.predicate is PredicateKind.ON
             target = (
                 scene.landmark_centres[wanted.target] if to_landmark else now[wanted.target, :2]
             )

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
-from phase_films.frames import Colours, FloatArray, Painter, Pixels, Still
+import phase_ppl as ppl
+from phase_films.still import Colours, Still
+from phase_films.view import FloatArray, Pixels
 
-_CORNERS: Final = Painter.corners
+_CORNERS: Final = ppl.render.Painter.corners
 
 REACH: Final = float(np.hypot(*_CORNERS.T).max())
 """Largest distance of an agent of size 1 from its origin."""
@@ -44,7 +46,9 @@ _OFFSETS: Final = (_NORMALS * _CORNERS).sum(axis=1)
 class Bodies:
     """Finds bodies in frames that match the painter's picture, edges ``softness`` pixels wide."""
 
-    def __init__(self, painter: Painter, still: Still, colours: Colours, softness: float) -> None:
+    def __init__(
+        self, painter: ppl.render.Painter, still: Still, colours: Colours, softness: float
+    ) -> None:
         self.painter, self.still, self.softness = painter, still, max(1.0, softness)
         self._colours = colours
         self._n_agents = len(painter.scene.world.agents)

@@ -13,7 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 import phase_ppl as ppl
 from phase_films.bodies import REACH, SEEN, Bodies
-from phase_films.frames import Colours, Film, FloatArray, Painter, Pixels, Still, View
+from phase_films.film import FilmFile
+from phase_films.still import Colours, Still
+from phase_films.view import FloatArray, Pixels, View
 
 _PANELS: Final = 6
 _COLUMNS: Final = 3
@@ -62,7 +64,7 @@ class VideoReading:
         Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the
         paths since the picture before. The text below has the frame and its least confidence.
         """
-        painter, frames = Painter(self.event.scene), sorted(self._pictures)
+        painter, frames = ppl.render.Painter(self.event.scene), sorted(self._pictures)
         with ppl.files.atomic_output(path, (".png",)) as part:
             panels = [
                 self._panel(painter, frame, before)
@@ -71,14 +73,16 @@ class VideoReading:
             width, height = panels[0].width, panels[0].height + _GAP
             columns = min(_COLUMNS, len(panels))
             size = width * columns, height * -(-len(panels) // columns)
-            sheet = Image.new("RGB", size, Painter.background)
+            sheet = Image.new("RGB", size, ppl.render.Painter.background)
             for place, one in enumerate(panels):
                 sheet.paste(one, (width * (place % columns), height * (place // columns)))
             sheet.save(part, "PNG")
 
-    def _panel(self, painter: Painter, frame: int, before: int) -> Image.Image:
+    def _panel(self, painter: ppl.render.Painter, frame: int, before: int) -> Image.Image:
         drawn = self._pictures[frame]
-        drawn = Image.blend(drawn, Image.new("RGB", drawn.size, Painter.background), _PALE)
+        drawn = Image.blend(
+            drawn, Image.new("RGB", drawn.size, ppl.render.Painter.background), _PALE
+        )
         draw = ImageDraw.Draw(drawn)
         scene, track = self.event.scene, self.event.observation.trajectory
         for entity, colour in enumerate(scene.world.entity_colours):
@@ -104,7 +108,7 @@ class VideoReading:
             f"{scene.world.entities[least]}"
         )
         width, height = drawn.width - 2 * beside, drawn.height + _CAPTION
-        result = Image.new("RGB", (width, height), Painter.background)
+        result = Image.new("RGB", (width, height), ppl.render.Painter.background)
         result.paste(drawn.crop((beside, 0, beside + width, drawn.height)))
         place, font = (width / 2, height - _CAPTION * 3 / 4), ImageFont.load_default(18)
         ImageDraw.Draw(result).text(place, words, fill=_TEXT, font=font, anchor="mm")
@@ -152,7 +156,7 @@ def read_video(
             colours, or an impossible setting.
         UnknownNameError: there is no ready-made world of that name.
     """
-    shown_scene, world = _given(scene, layout)
+    assumed, world = _scene_or_layout(scene, layout)
     ppl.errors.nonnegative_number("start", start)
     ppl.errors.whole_number("max_gap", max_gap, 0)
     if (
@@ -162,32 +166,30 @@ def read_video(
         raise ppl.errors.InvalidSettingError(
             f"frames_per_step={ppl.errors.shown(frames_per_step)}, expected a number >= 1"
         )
-    colours = Colours(shown_scene.world)
-    film = Film(path)
-    moments = _moments(film, frames_per_step, start)
-    view = View(film, shown_scene)
+    colours = Colours(assumed.world)
+    film = FilmFile(path)
+    moments = _film_frame_of(film, frames_per_step, start)
+    view = View(film, assumed)
     samples = [view(frame) for frame in film.samples]
-    still = Still(samples, colours, Painter(shown_scene))
+    still, drawn = Still(samples, colours, ppl.render.Painter(assumed)), assumed
     if scene is None:
         centres, halves = still.landmarks()
-        shown_scene = dataclasses.replace(
-            shown_scene,
+        drawn = dataclasses.replace(
+            assumed,
             walls=still.walls(),
             landmark_centres=centres,
             landmark_half_width=halves[0] if len({*halves}) == 1 else halves,
         )
     else:
         still.check(scene)
-    bodies = Bodies(Painter(shown_scene), still, colours, softness=1 / view.scale)
-    radius = shown_scene.radius if scene is not None else _sizes(bodies, samples, colours)
-    found, pictures = _follow(film, view, bodies, radius, moments, progress)
-    known = shown_scene.start if scene is not None else None
-    shown_scene = dataclasses.replace(shown_scene, radius=radius)
-    track, confidence = _closed(
-        found, shown_scene, moments / (film.fps or math.nan), max_gap, known
-    )
+    bodies = Bodies(ppl.render.Painter(drawn), still, colours, softness=1 / view.scale)
+    radius = drawn.radius if scene is not None else _sizes(bodies, samples, colours)
+    found, pictures = _followed(film, view, bodies, radius, moments, progress)
+    known = scene.start if scene is not None else None
+    drawn = dataclasses.replace(drawn, radius=radius)
+    track, confidence = _gaps_filled(found, drawn, moments / (film.fps or math.nan), max_gap, known)
     if scene is None:
-        scene = dataclasses.replace(shown_scene, start=track[0], world=world)
+        scene = dataclasses.replace(drawn, start=track[0], world=world)
         if scene.world == ppl.worlds.PHASE:
             scene = dataclasses.replace(scene, turning=ppl.observed_turning(track, scene.radius))
     else:
@@ -196,7 +198,9 @@ def read_video(
     return VideoReading(event, confidence, pictures)
 
 
-def _given(scene: ppl.Scene | None, layout: str | ppl.World | None) -> tuple[ppl.Scene, ppl.World]:
+def _scene_or_layout(
+    scene: ppl.Scene | None, layout: str | ppl.World | None
+) -> tuple[ppl.Scene, ppl.World]:
     """Return the scene, and the world; the scene of a layout has no places of bodies yet.
 
     User-defined goals may be about rooms, which are unknown before walls are found. So a
@@ -223,7 +227,7 @@ def _given(scene: ppl.Scene | None, layout: str | ppl.World | None) -> tuple[ppl
     return ppl.Scene(start, radius, [], world=plain), layout  # type: ignore[arg-type]
 
 
-def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatArray:
+def _film_frame_of(film: FilmFile, frames_per_step: float | None, start: float) -> FloatArray:
     """Return (time,) the number, perhaps fractional, of the film's frame for each event frame."""
     name = film.path.name
     if frames_per_step is None:
@@ -273,8 +277,8 @@ def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> Float
     return np.asarray(radius)
 
 
-def _follow(
-    film: Film,
+def _followed(
+    film: FilmFile,
     view: View,
     bodies: Bodies,
     radius: FloatArray,
@@ -295,9 +299,9 @@ def _follow(
         picture = view(frame)
         if number in kept:
             pictures[kept[number]] = Image.fromarray(picture)
-        poses[number] = found = bodies.find(picture, before, radius)
+        found = bodies.find(picture, before, radius)
         seen = found[:, 3] >= SEEN
-        found[~seen] = np.nan
+        poses[number] = np.where(seen[:, None], found, np.nan)
         last = np.full((len(found), 3), np.nan) if before is None else before
         before = np.where(seen[:, None], found[:, :3], last)
     rows = []
@@ -312,7 +316,7 @@ def _follow(
     return np.array(rows), pictures
 
 
-def _closed(
+def _gaps_filled(
     found: FloatArray, scene: ppl.Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return (time, entity, 3) poses with gaps filled, and the confidence.
@@ -339,7 +343,7 @@ def _closed(
                 f"{_MOST_LOST:.0%} are bridged"
             )
         if lost[0]:
-            first = known[entity] if known is not None else _below(found, scene, entity)
+            first = known[entity] if known is not None else _hidden_at_start(found, scene, entity)
             if first is not None:
                 track[0, entity], lost[0] = first, False
         if entity >= len(world.agents):
@@ -354,7 +358,7 @@ def _closed(
     return track, confidence
 
 
-def _below(found: FloatArray, scene: ppl.Scene, entity: int) -> FloatArray | None:
+def _hidden_at_start(found: FloatArray, scene: ppl.Scene, entity: int) -> FloatArray | None:
     """Return the place of a body that is hidden at first: below the one from which it appears."""
     n_agents = len(scene.world.agents)
     first = int(np.isfinite(found[:, entity, 0]).argmax())

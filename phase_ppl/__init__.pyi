@@ -100,8 +100,8 @@ from phase_ppl.inference.settings import simulations as simulations
 from phase_ppl.inference.stepwise import StepwiseInterrupted as StepwiseInterrupted
 from phase_ppl.inference.stepwise import Watch as Watch
 from phase_ppl.inference.stepwise import watch as watch
-from phase_ppl.models import roles as roles
 from phase_ppl.models import sites as sites
+from phase_ppl.models import world_priors as _world_priors
 from phase_ppl.models.density import tracing as tracing
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model
@@ -135,6 +135,7 @@ from phase_ppl.world.scene import World as World
 
 __version__: str
 plot = _plots
+roles = _world_priors
 study = _study
 
 def unsupported() -> str | None: ...

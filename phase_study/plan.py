@@ -214,7 +214,7 @@ def goal_question(world: ppl.World, agent: int, self_goals: bool) -> Page:
         both = (goals.get(("TOUCH", agent, body, way))
                 for body in touched for way in (True, False))  # fmt: skip
         words |= {goal: words.pop(goal) for goal in both if goal is not None}
-    words |= {goal: goal for (predicate, *_), goal in goals.items() if predicate == "OWN"}
+    words |= {goal: goal for (predicate, *_), goal in goals.items() if predicate == "USERS"}
     return {
         "name": f"goal_{world.keys[agent]}",
         "kind": "goals",

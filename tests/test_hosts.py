@@ -216,7 +216,7 @@ def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_o
     check_refused(lambda: Observation.at_rate(poses, fps=0), "fps=0, expected a positive")
     check_refused(lambda: Observation.at_rate(poses[:3], fps=60), "has 1 frame")
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", lambda *given, **more: None)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", lambda *given: reading())
     for name in ("collaborate", "compete", "independent", "oppose"):
         ppl.infer(ppl.load_event(name))
     track = event.observation.trajectory

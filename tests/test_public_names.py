@@ -25,6 +25,7 @@ def test_every_public_name_is_there_and_is_what_it_is_called() -> None:
         called = getattr(found, "__name__", name).split(".")[-1]
         others = {
             "plot": "figures",
+            "roles": "world_priors",
             "study": "phase_study",
             "watch": "Watch",
         }

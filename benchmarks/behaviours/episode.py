@@ -17,7 +17,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.geometry import is_on, touches
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import NOTHING, Literal, Predicate
+from phase_ppl.world.names import NOTHING, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
 
 RED, GREEN, BLUE, PINK = range(4)
@@ -71,7 +71,7 @@ class Episode(NamedTuple):
 
     def reached(self, goal: Literal) -> NDArray[np.bool_]:
         """Return when the positive form of a goal holds."""
-        if goal.predicate is Predicate.ON:
+        if goal.predicate is PredicateKind.ON:
             return self.is_on(goal.subject, goal.target)
         return self.touching(goal.subject, goal.target)
 

@@ -67,12 +67,12 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     newtons, unseen = np.array([strengths]), np.zeros(len(ENTITIES), np.int64)
     gains = np.tile(filter_gains(tracking.scale, 0.0), (len(ENTITIES), 1))
     trajectory = [np.array(scene.start)]
-    conduct = likelihood.conduct
+    policy = likelihood.policy
     for _ in range(n_frames - 1):
         meant = []
         for agent in agents:
             agent.observe(bodies[0], held[0], weld[0])
-            found = conduct.policy(agent.root_statistics(agent.intents)[0])
+            found = policy.of(agent.root_statistics(agent.intents)[0])
             meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
             agent.acted(meant[-1])
         done = [executed(action, scene.turning) for action in meant]

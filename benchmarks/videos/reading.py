@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
-    Conduct,
+    ActionPolicy,
     GoalFilter,
     Plans,
     SearchSets,
@@ -60,8 +60,8 @@ class Told(HiddenState):
     """A filter that is told the actions."""
 
     def tell(self, pair: NDArray[np.int64]) -> None:
-        self._log_prior = np.full(len(Action) ** 2, -np.inf)
-        self._log_prior[pair[0] * len(Action) + pair[1]] = 0.0
+        self._log_share = np.full(len(Action) ** 2, -np.inf)
+        self._log_share[pair[0] * len(Action) + pair[1]] = 0.0
 
 
 def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
@@ -103,7 +103,7 @@ class Kept:
         truth: effective goals of red and green; levels: places of their strengths.
         steps: per step (plans, log density).
         strengths: (step, strength of red, of green) probabilities.
-        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
+        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.FrameReading`.
     """
 
     truth: tuple[int, ...]
@@ -119,12 +119,12 @@ class Kept:
         return len(self.steps)
 
     def log_likelihood(
-        self, conduct: Conduct, weight: float, planner_seeds: int | None = None
+        self, policy: ActionPolicy, weight: float, planner_seeds: int | None = None
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
         log_mass, found = log_prior().ravel(), []
         for plans, log_density in self.steps:
-            policies, pairs = policies_of(plans[:planner_seeds], conduct)
+            policies, pairs = policies_of(plans[:planner_seeds], policy)
             first, (every,) = log_likelihoods(log_density, policies, pairs, 1)
             (shift,) = shift_of(first, every[None], log_mass)
             found.append(np.where(np.isnan(every), first + shift, every))
@@ -155,7 +155,7 @@ class Kept:
 
     def surprise(self, likelihood: StepwiseLikelihood) -> FloatArray:
         """Return (step,) nats by which frames are less probable than a perfect match."""
-        tables = self.log_likelihood(likelihood.conduct, likelihood.frame_weight())
+        tables = self.log_likelihood(likelihood.policy, likelihood.frame_weight())
         before = log_prior() + likelihood.frame_weight() * np.vstack(
             [np.zeros((1, N_GOALS, N_GOALS)), tables.cumsum(axis=0)[:-1]]
         )
@@ -231,7 +231,7 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
     )
     pairs = np.indices((N_GOALS, N_GOALS)).reshape(2, -1).T, log_prior().ravel()
-    goals = GoalFilter(sets, likelihood.conduct, likelihood.frame_weight(), pairs)
+    goals = GoalFilter(sets, likelihood.policy, likelihood.frame_weight(), pairs)
     with contextlib.closing(goals):
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began

@@ -21,7 +21,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from videos.decisions import Task as Recording
 from videos.decisions import states
 from videos.replay import scene_of
@@ -59,7 +59,7 @@ def figures(
     reached = []
     for agent, goal in enumerate((truth.goal_red, truth.goal_green)):
         literal = goal_literal(GOALS.index(goal), agent)
-        if not literal.positive or literal.predicate is not Predicate.ON:
+        if not literal.positive or literal.predicate is not PredicateKind.ON:
             continue
         landmark = scene.landmark_centres[literal.target]
         distance = np.linalg.norm(positions[:, literal.subject] - landmark, axis=1)

@@ -29,7 +29,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import goal_literal, planned_as
-from phase_ppl.world.names import AGENTS, STOP, Literal, Predicate
+from phase_ppl.world.names import AGENTS, STOP, Literal, PredicateKind
 
 NO_INTENT = -1  # for impossible goals, and for goals that were not asked for
 
@@ -84,7 +84,7 @@ def best_subgoal(
         candidates = [c for c in candidates if c != STOP]
     if config.touch_override:
         # the authors' code prefers touching, items first, then other agents
-        touching = [c for c in candidates if c.predicate is Predicate.TOUCH and c.positive]
+        touching = [c for c in candidates if c.predicate is PredicateKind.TOUCH and c.positive]
         if touching:
             return min(touching, key=lambda c: (c.target < n_agents, c.target))
     return max(candidates, key=value.__getitem__)
@@ -141,16 +141,16 @@ class Policies(Perception):
         ]
         # facts leave out the goal to be in a room; the rest does not depend on the place
         known = (
-            plan._replace(predicate=Predicate.ON, target=0)
-            if plan.predicate is Predicate.CLOSE
+            plan._replace(predicate=PredicateKind.ON, target=0)
+            if plan.predicate is PredicateKind.CLOSE
             else plan
             for plan in self._plans
         )
         self._codes = np.array([pomcp.subgoal_code(plan) for plan in known])
-        self._own = [
+        self._users_goals = [
             (row, world.predicates[literal.target])
             for row, literal in enumerate(literals)
-            if literal.predicate is Predicate.OWN
+            if literal.predicate is PredicateKind.USERS
         ]
         particles = config.particles
         self._row = symbols.Facts(*self._counts)
@@ -158,7 +158,7 @@ class Policies(Perception):
         self._done = np.zeros((len(asked), particles), np.bool_)
         self._costs = np.zeros((len(asked), particles))
         # only a user-defined predicate knows how far a place in a room is from its goal
-        rooms = [plan.predicate is Predicate.CLOSE for plan in self._plans]
+        rooms = [plan.predicate is PredicateKind.CLOSE for plan in self._plans]
         self._whole = (config.cost == "plan") & ~np.array(rooms, np.bool_)
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
@@ -200,7 +200,7 @@ class Policies(Perception):
             *(beliefs.bodies, beliefs.held, self.agent, self._codes, self._whole),
             *(model.params, model.layout, self._facts, self._done, self._costs),
         )
-        self._describe_own()
+        self._describe_users_goals()
         rows = self._facts.view(f"V{self._row.size}").ravel().tolist()
         places: dict[bytes, int] = {}
         self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
@@ -208,17 +208,17 @@ class Policies(Perception):
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
 
-    def _describe_own(self) -> None:
+    def _describe_users_goals(self) -> None:
         """Note where user-defined predicates are reached, and the path lengths into rooms."""
-        if not self._own:
+        if not self._users_goals:
             return
         (bodies, held), scene = (self.beliefs.bodies, self.beliefs.held), self.model.scene
         angle, cog = bodies[..., 2], self.model.params.cog
         origin = bodies[..., :2] + np.stack([np.sin(angle), -np.cos(angle)], -1) * cog[:, None]
-        for row, predicate in self._own:
+        for row, predicate in self._users_goals:
             planned = self._plans[row]
             self._done[row] = predicate.is_content(origin, scene)
-            if planned.predicate is Predicate.CLOSE and planned.positive:
+            if planned.predicate is PredicateKind.CLOSE and planned.positive:
                 near = planned.subject == self.agent or held[:, self.agent] == planned.subject
                 way = predicate.apart(origin, scene)
                 leg = self._costs[row]
@@ -243,7 +243,9 @@ class Policies(Perception):
         if stance.helps_along:
             # helping along depends on whether the other has reached its goal
             kinds += self._done[self._rows[stance.other, other]]
-        planner = self._planner(self._plans[row], stance, one.literal.predicate is Predicate.OWN)
+        planner = self._planner(
+            self._plans[row], stance, one.literal.predicate is PredicateKind.USERS
+        )
         agreeing: dict[Literal, list[int]] = defaultdict(list)
         for state, members in self._grouped(kinds):
             agreeing[planner.subgoal(state, self._observed)] += members
@@ -307,7 +309,7 @@ class Policies(Perception):
         bodies, held = self.beliefs.bodies[first], self.beliefs.held[first]
         if subgoal == STOP:
             return np.array([Action.STOP])
-        if subgoal.predicate is Predicate.ATTACH:
+        if subgoal.predicate is PredicateKind.ATTACH:
             if not subgoal.positive:
                 return np.array([Action.DETACH])
             # an agent that holds something cannot grab

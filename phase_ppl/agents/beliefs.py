@@ -48,7 +48,7 @@ _ATTACH = int(Action.ATTACH)
 class Beliefs(NamedTuple):
     """The belief of one agent."""
 
-    bodies: FloatArray  # (K, entity, 9) physical states, as in ``physics.compiled``
+    bodies: FloatArray  # (K, entity, 9) physical states, as in ``physics.flat``
     held: IntArray  # (K, agent) held items
     weld: FloatArray  # (K, agent, 3) how they are held
     ever_seen: BoolArray  # (cells,) cells that have ever been in view

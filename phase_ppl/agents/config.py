@@ -14,9 +14,6 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 
-_REMOVED: Final = {"tree_reuse": False}
-"""Removed settings -> the value as which all present versions behave."""
-
 Cost = Literal["leg", "plan"]
 COSTS: Final = get_args(Cost)
 PLANNERS: Final = ("paper", "fast", "as_printed", "as_printed_fast")
@@ -119,21 +116,15 @@ class PlannerConfig:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> PlannerConfig:
-        """Return the settings that :meth:`to_dict` wrote, also in a file of an older version.
+        """Return the settings that :meth:`to_dict` wrote.
 
         Raises:
-            InvalidSettingError: a setting is unknown, or was removed.
+            UnknownNameError: there is no such setting.
         """
-        given = {name: value for name, value in stored.items() if _REMOVED.get(name) != value}
         known = [field.name for field in dataclasses.fields(cls)]
-        for name, value in given.items():
-            if name in _REMOVED:
-                raise InvalidSettingError(
-                    f"planner with {name}={value!r}: that setting was removed; only files with "
-                    f"{name}={_REMOVED[name]!r} can be continued"
-                )
+        for name in stored:
             check_name("setting of the planner", name, known)
-        return cls(**given)
+        return cls(**stored)
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

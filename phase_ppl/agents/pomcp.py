@@ -26,12 +26,14 @@ from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.records import record
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, PredicateKind
 from phase_ppl.world.rooms import UNREACHABLE
 
 SIDEWAYS_COST: Final = 0.02  # cost of each translation other than straight ahead
 
-_ON, _TOUCH, _ATTACH = (int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH))
+_ON, _TOUCH, _ATTACH = (
+    int(p) for p in (PredicateKind.ON, PredicateKind.TOUCH, PredicateKind.ATTACH)
+)
 _FIRST_SIDEWAYS, _LAST_SIDEWAYS = int(Action.DOWN), int(Action.DOWN_RIGHT)
 _NAVIGATION: Final = (Action.TURN_LEFT, Action.TURN_RIGHT, Action.UP, Action.STOP, Action.NO_FORCE)
 _GRIP: Final = (Action.ATTACH, Action.DETACH)
@@ -57,14 +59,14 @@ def actions_for(
     """
     predicate, subject = literal.predicate, literal.subject
     without: tuple[Action, ...]
-    walks = predicate in (Predicate.TOUCH, Predicate.CLOSE)
-    if subject == agent and (walks or (predicate is Predicate.ON and not contested)):
+    walks = predicate in (PredicateKind.TOUCH, PredicateKind.CLOSE)
+    if subject == agent and (walks or (predicate is PredicateKind.ON and not contested)):
         return np.array(_NAVIGATION, np.int64)
-    if predicate is Predicate.ATTACH:
+    if predicate is PredicateKind.ATTACH:
         without = () if held != NOTHING else (Action.DETACH,)
-    elif predicate is Predicate.ON and subject >= n_agents:
+    elif predicate is PredicateKind.ON and subject >= n_agents:
         without = (Action.DETACH,)
-    elif predicate is Predicate.CLOSE and subject >= n_agents:
+    elif predicate is PredicateKind.CLOSE and subject >= n_agents:
         without = _GRIP if held != NOTHING else (Action.DETACH,)
     else:
         without = _GRIP

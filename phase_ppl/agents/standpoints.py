@@ -17,7 +17,7 @@ import numpy as np
 
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import NOTHING, STOP, Literal, PredicateKind
 from phase_ppl.world.scene import World
 
 _SAME, _OPPOSITE = 1, 2  # another agent wants the same, or the opposite; 0: neither
@@ -48,7 +48,7 @@ def stance_of(agent: int, goals: Sequence[Literal]) -> Stance:
         concerned[0],
         concerned[0] in alike,
         bool(against),
-        bool(about) and own.predicate is Predicate.ON and own.positive,
+        bool(about) and own.predicate is PredicateKind.ON and own.positive,
     )
 
 

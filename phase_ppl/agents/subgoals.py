@@ -23,7 +23,7 @@ from phase_ppl.agents.symbols import (
     start_node,
 )
 from phase_ppl.agents.world_model import Abilities
-from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import NOTHING, STOP, Literal, PredicateKind
 
 
 class SubgoalPlanner:
@@ -49,14 +49,14 @@ class SubgoalPlanner:
     ) -> None:
         self.agent, self.own = agent, own
         self.stance, self.other = stance, stance.other
-        if own.predicate is Predicate.ON:  # if the room has several landmarks, this one counts
+        if own.predicate is PredicateKind.ON:  # if the room has several landmarks, this one counts
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(landmarks))
         self.abilities, self._find_plan = abilities, plans(abilities)
         self._n_agents = len(abilities.passes) - len(abilities.fills)
         self._settles = settles and own.positive
-        self._touches = own.predicate is Predicate.TOUCH
+        self._touches = own.predicate is PredicateKind.TOUCH
         ends = (own.subject, own.target) if self._touches else (own.subject,)
         # unseen entities may have gone since they were last seen
         self._others = tuple(end for end in ends if end < self._n_agents and end != agent)
@@ -99,7 +99,7 @@ class SubgoalPlanner:
 
     def _go(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(self, landmark) or TOUCH(self, other)."""
-        if self.own.predicate is Predicate.ON and state.own_done:
+        if self.own.predicate is PredicateKind.ON and state.own_done:
             return STOP
         goal_room = state.rooms[self.own.target] if self._touches else self._goal_room()
         in_view = self._touches and observed[self.own.target]
@@ -116,7 +116,7 @@ class SubgoalPlanner:
         if self.abilities.is_open and holding:
             return self.own
 
-        placed = self.own.predicate is not Predicate.CLOSE
+        placed = self.own.predicate is not PredicateKind.CLOSE
         delivered = Target("rooms", item, frozenset({room}), placed)
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
@@ -131,12 +131,12 @@ class SubgoalPlanner:
         if holding:
             # too weak or too wide: keep pulling towards the goal
             following = self._next_room((), state.rooms[item], room)
-            return self.own if following is None else Literal(Predicate.CLOSE, item, following)
+            return self.own if following is None else Literal(PredicateKind.CLOSE, item, following)
         if state.rooms[self.agent] == state.rooms[item] or observed[item]:
             n_items = len(state.door_filled_by)
             if state.in_reach[n_items * self.agent + item - self._n_agents]:
-                return Literal(Predicate.ATTACH, self.agent, item)
-            return Literal(Predicate.TOUCH, self.agent, item)
+                return Literal(PredicateKind.ATTACH, self.agent, item)
+            return Literal(PredicateKind.TOUCH, self.agent, item)
         return self._press_on(state, state.rooms[item])
 
     def _bring_together(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -151,7 +151,7 @@ class SubgoalPlanner:
         if self.own.positive and not self.abilities.is_open:
             following = self._next_room((), state.rooms[target], state.rooms[subject])
             if following is not None:
-                return Literal(Predicate.CLOSE, target, following)
+                return Literal(PredicateKind.CLOSE, target, following)
         return self.own
 
     def _must_wait(self, state: SymbolicState, item: int, room: int, has_plan: bool) -> bool:
@@ -175,11 +175,11 @@ class SubgoalPlanner:
         observed: tuple[bool, ...],
     ) -> Literal:
         """Return the first subgoal of a step towards bringing an item somewhere."""
-        if literal.predicate is Predicate.ATTACH and literal.positive and not alone:
+        if literal.predicate is PredicateKind.ATTACH and literal.positive and not alone:
             # an item to be handed over may be pushed as well; the search decides
             following = self._next_room((item,), state.rooms[item], state.rooms[self.other])
             if following is not None:
-                return Literal(Predicate.CLOSE, item, following)
+                return Literal(PredicateKind.CLOSE, item, following)
         return self._in_sight(literal, item, observed)
 
     def _help_to_move(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -203,7 +203,7 @@ class SubgoalPlanner:
         if not steps:
             return STOP
         step = steps[0].literal
-        if step.predicate is Predicate.CLOSE and step.subject == item:
+        if step.predicate is PredicateKind.CLOSE and step.subject == item:
             return self._aside(item, state.rooms[item])
         return self._in_sight(step, item, observed)
 
@@ -211,12 +211,12 @@ class SubgoalPlanner:
         """Whether the first own step of a joint plan does not have to wait for the other agent."""
         if not steps or steps[0] is step:
             return True
-        item = step.literal.target if step.literal.predicate is Predicate.TOUCH else NOTHING
+        item = step.literal.target if step.literal.predicate is PredicateKind.TOUCH else NOTHING
         before = steps[: steps.index(step)]
-        walks = step.literal.predicate is Predicate.CLOSE and step.literal.subject == self.agent
+        walks = step.literal.predicate is PredicateKind.CLOSE and step.literal.subject == self.agent
         touches_here = item != NOTHING and state.rooms[item] == state.rooms[self.agent]
         return walks or (
-            touches_here and all(s.literal.predicate is not Predicate.CLOSE for s in before)
+            touches_here and all(s.literal.predicate is not PredicateKind.CLOSE for s in before)
         )
 
     # --- hindering: the negation of the other's goal ------------------------------------------
@@ -289,7 +289,7 @@ class SubgoalPlanner:
         following = self._next_room((self.agent, item), item_room, refuge)
         if following is None:
             return self._hold_back(item, item_room)
-        return Literal(Predicate.CLOSE, item, following)
+        return Literal(PredicateKind.CLOSE, item, following)
 
     def _hold_back(self, item: int, room: int) -> Literal:
         """Pull an item into the corner of its room; in the goal's room, off the goal."""
@@ -298,12 +298,12 @@ class SubgoalPlanner:
     def _aside(self, entity: int, room: int) -> Literal:
         """Bring an entity to the landmark of a room, or into a corner if there is none."""
         landmark = self.abilities.landmark_in[room]
-        where = (Predicate.CLOSE, room) if landmark == NOTHING else (Predicate.ON, landmark)
+        where = (PredicateKind.CLOSE, room) if landmark == NOTHING else (PredicateKind.ON, landmark)
         return Literal(where[0], entity, where[1])
 
     def _door(self, entity: int, door: int) -> Literal:
         """Stand in a door; literals number the doors after the rooms."""
-        return Literal(Predicate.CLOSE, entity, len(self.abilities.neighbours) + door)
+        return Literal(PredicateKind.CLOSE, entity, len(self.abilities.neighbours) + door)
 
     def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
         """Return the rooms, except the goal's, to which this agent can take an item."""
@@ -331,7 +331,7 @@ class SubgoalPlanner:
         held = state.held[self.agent]
         if held in (NOTHING, keep):
             return None
-        return Literal(Predicate.ATTACH, self.agent, held, positive=False)
+        return Literal(PredicateKind.ATTACH, self.agent, held, positive=False)
 
     def _next_room(self, entities: tuple[int, ...], start: int, end: int) -> int | None:
         """Return the first room on a way whose doors all ``entities`` pass; None: no way."""
@@ -347,7 +347,7 @@ class SubgoalPlanner:
     def _press_on(self, state: SymbolicState, room: int) -> Literal:
         """Head for a room that the body does not fit into, as near as the walls allow."""
         following = self._next_room((), state.rooms[self.agent], room)
-        return STOP if following is None else Literal(Predicate.CLOSE, self.agent, following)
+        return STOP if following is None else Literal(PredicateKind.CLOSE, self.agent, following)
 
     def _take(
         self, state: SymbolicState, item: int, observed: tuple[bool, ...] | None = None
@@ -361,9 +361,9 @@ class SubgoalPlanner:
 
     def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...] | None) -> Literal:
         """Head straight for an item in view instead of for its room."""
-        walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
+        walking = literal.predicate is PredicateKind.CLOSE and literal.subject == self.agent
         if walking and observed is not None and observed[item]:
-            return Literal(Predicate.TOUCH, self.agent, item)
+            return Literal(PredicateKind.TOUCH, self.agent, item)
         return literal
 
     def _doors_of(self, room: int) -> set[int]:
@@ -380,7 +380,7 @@ class SubgoalPlanner:
 
     def _goal_room(self) -> int:
         """Return the room of the goal; an arena without inner walls is one room."""
-        if self.own.predicate is Predicate.CLOSE:
+        if self.own.predicate is PredicateKind.CLOSE:
             return self.own.target
         return 0 if self.abilities.is_open else self.abilities.landmark_rooms[self.own.target]
 
@@ -388,7 +388,7 @@ class SubgoalPlanner:
         self, state: SymbolicState, willing: tuple[int, ...], targets: frozenset[int], goal: Target
     ) -> list[Step] | None:
         done = [False] * len(state.rooms)
-        if self.own.predicate is Predicate.ON:
+        if self.own.predicate is PredicateKind.ON:
             done[self.own.subject] = state.own_done
         start = start_node(state, tuple(done), targets)
         moves = not self._touches and self.own.positive and self.own.subject in targets

@@ -35,7 +35,7 @@ from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.names import NOTHING, Literal, Predicate
+from phase_ppl.world.names import NOTHING, Literal, PredicateKind
 
 NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
 """An agent is done with ON(itself, landmark) this close to the centre, units."""
@@ -43,7 +43,7 @@ NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
 NEAR_ITEM_ON: Final = 0.05 * DISTANCE_UNIT  # likewise for ON(item, landmark)
 NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT  # likewise for TOUCH
 NO_DOOR: Final = -1
-_ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
+_ON, _TOUCH = int(PredicateKind.ON), int(PredicateKind.TOUCH)
 
 
 class SymbolicState(NamedTuple):
@@ -261,7 +261,7 @@ def moves(
     n_agents, item, room = len(held), held[agent], rooms[agent]
     actors: tuple[int, ...] = (agent,)
 
-    def step(predicate: Predicate, subject: int, target: int, cost: float, node: Node) -> Step:
+    def step(predicate: PredicateKind, subject: int, target: int, cost: float, node: Node) -> Step:
         return Step(actors, Literal(predicate, subject, target), cost, node)
 
     if item == NOTHING:
@@ -270,22 +270,22 @@ def moves(
                 there = _set(rooms, agent, following), held, _set(near, agent, NOTHING)
                 after = Node(*there, _set(placed, agent, False), filled)
                 length = abilities.room_distance[room][following]
-                yield step(Predicate.CLOSE, agent, following, length, after)
+                yield step(PredicateKind.CLOSE, agent, following, length, after)
         for target in targets:
             if target != agent and rooms[target] == room and near[agent] != target:
                 after = Node(rooms, held, _set(near, agent, target), placed, filled)
-                yield step(Predicate.TOUCH, agent, target, TOUCH_COST, after)
+                yield step(PredicateKind.TOUCH, agent, target, TOUCH_COST, after)
         target = near[agent]
         if target >= n_agents and target in targets:
             after = Node(rooms, _set(held, agent, target), near, placed, filled)
-            yield step(Predicate.ATTACH, agent, target, GRIP_COST, after)
+            yield step(PredicateKind.ATTACH, agent, target, GRIP_COST, after)
         landmark = abilities.landmark_in[room]
         if agent in targets and not placed[agent] and landmark != NOTHING:
             after = Node(rooms, held, near, _set(placed, agent, True), filled)
-            yield step(Predicate.ON, agent, landmark, PLACE_COST, after)
+            yield step(PredicateKind.ON, agent, landmark, PLACE_COST, after)
         return
     after = Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, filled)
-    yield Step(actors, Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, after)
+    yield Step(actors, Literal(PredicateKind.ATTACH, agent, item, positive=False), GRIP_COST, after)
     others = [a for a, thing in enumerate(held) if a != agent and thing == item]
     actors = (agent, *(other for other in others if other in willing))
     if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
@@ -304,11 +304,11 @@ def moves(
                 moved, lifted = _set(moved, entity, following), _set(lifted, entity, False)
             length = abilities.room_distance[rooms[item]][following]
             after = Node(moved, held, near, lifted, emptied)
-            yield step(Predicate.CLOSE, item, following, length, after)
+            yield step(PredicateKind.CLOSE, item, following, length, after)
     landmark = abilities.landmark_in[rooms[item]]
     if not apart and not placed[item] and landmark != NOTHING:
         after = Node(rooms, held, near, _set(placed, item, True), emptied)
-        yield step(Predicate.ON, item, landmark, PLACE_COST, after)
+        yield step(PredicateKind.ON, item, landmark, PLACE_COST, after)
 
 
 def plan(

@@ -8,7 +8,7 @@ Modules for numbers, each built on those before it:
   ``definitions``: a user's own quantities.
 * ``hypotheses``: methods of all tables. ``event_posterior``: methods of an event's posterior.
   ``what_if``: counterfactual simulations. ``posterior`` and ``stepwise_posterior`` (with
-  ``stepwise_table`` and ``stepwise_file``, and ``own_sites`` for a prior of one's own) are the two
+  ``stepwise_table`` and ``stepwise_file``, and ``users_sites`` for a user's prior) are the two
   kinds of posterior.
 * ``comparison``: posteriors against a reference and each other.
 

@@ -65,7 +65,8 @@ def check_new_name(name: object, taken: Iterable[str]) -> None:
     """Refuse what cannot be the name of a new quantity."""
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InvalidSettingError(
-            f"a quantity cannot be called {shown(name)}: expected a name as of a Python variable"
+            f"a quantity cannot be called {shown(name)}: expected a valid Python name, such as "
+            "same_goal"
         )
     if name in taken:
         raise InvalidSettingError(f"there is a quantity {name!r} already: choose another name")

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import tree as trees
-from phase_ppl.analysis.estimate import total_variation, worth
+from phase_ppl.analysis.estimate import kish_size, total_variation
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
 from phase_ppl.analysis.weights import Rows
@@ -22,7 +22,7 @@ from phase_ppl.data.motion import odd_pace
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.picture import LABEL, Printed, plain, wrapped
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
@@ -140,8 +140,8 @@ def diagnostics(
         "move_rate": np.diff(goals, axis=1).any(axis=-1).mean() if n_draws > 1 else None,
         "distinct_hypotheses": len(hypotheses.drop_duplicates()),
         "distinct_goal_pairs": len(np.unique(goals.reshape(-1, space.n_agents), axis=0)),
-        "effective_rows": worth(rows.weights),
-        "weighted_draws_ess": worth(draw_weights) / draw_weights.size if weighted else None,
+        "effective_rows": kish_size(rows.weights),
+        "weighted_draws_ess": kish_size(draw_weights) / draw_weights.size if weighted else None,
         **{
             key: {name: one[key] for name, one in by_goal.items()}
             for key in ("agreement", "leading_goals", "between_chain_tv")
@@ -225,7 +225,7 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
         return False
     one, two = (goal_literal(code, agent, space.world) for code in (goal, other))
     return (
-        one.predicate is Predicate.ON is two.predicate
+        one.predicate is PredicateKind.ON is two.predicate
         and (one.subject, one.positive) == (two.subject, two.positive)
         and one.target != two.target
     )
@@ -234,8 +234,8 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    own = [name for name in trees.own_sites(tree) if posterior[name].dtype.kind == "f"]
-    names = (*trees.space_of_tree(tree).strength_sites, *own)
+    users = [name for name in trees.users_sites(tree) if posterior[name].dtype.kind == "f"]
+    names = (*trees.space_of_tree(tree).strength_sites, *users)
     found = {"log_joint": stats["log_joint"], "total_error": stats["total_error"]}
     found |= {name: posterior[name] for name in names}
     return {name: one.values.astype(float) for name, one in found.items()}

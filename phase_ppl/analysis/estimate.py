@@ -93,8 +93,8 @@ def entropy(mass: FloatArray) -> FloatArray:
     return np.where(found > ROUNDING, found, 0.0)
 
 
-def worth(weights: FloatArray) -> float:
-    """Return Kish's effective size of weights of sum 1."""
+def kish_size(weights: FloatArray) -> float:
+    """Return Kish's effective sample size of weights of sum 1."""
     return float(1 / (weights**2).sum())
 
 

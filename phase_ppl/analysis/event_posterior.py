@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.answers import answers
 from phase_ppl.analysis.definitions import defined
-from phase_ppl.analysis.estimate import Estimate, shares, worth
+from phase_ppl.analysis.estimate import Estimate, kish_size, shares
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.query import conditions
@@ -146,7 +146,7 @@ class EventPosterior(Hypotheses):
         """
         weights, exact = self._rows.weights, self._is_exact
         rows = resampled(weights, int(self.settings.get("seed", 0)), exact=exact)
-        size = worth(weights)
+        size = kish_size(weights)
         what = "probable hypotheses" if exact else f"weighted rows, worth {size:.1f} equal draws"
         how = f"{rows.shape[0]} x {rows.shape[1]} equal draws, resampled from {weights.size} {what}"
         return self._for_arviz(rows, self._beside, how)
@@ -198,7 +198,7 @@ class EventPosterior(Hypotheses):
         time = "time", np.arange(len(observed)) / FRAMES_PER_SECOND, {"units": "s"}
         seen = {"time": time, "entity": scene["entity"], "coord": scene["coord"]}
         attrs = {name: value for name, value in self._attrs.items() if name != "schema"}
-        attrs |= {"weights": self._weighting, "effective_size_kish": worth(table.weights)}
+        attrs |= {"weights": self._weighting, "effective_size_kish": kish_size(table.weights)}
         found = {
             "posterior": draws_of(drawn, codes, moving=moving),
             "observed_data": xr.Dataset({"trajectory": (FRAME, observed)}, seen),
@@ -245,7 +245,7 @@ class EventPosterior(Hypotheses):
         """Return the rows of a table in which ``event`` is true, and those in which ``over`` is."""
         columns = dict(self._words.completed(table))
         known = {n: one for n, one in self._quantities.items() if n in columns}
-        for name, definition in self._own.items():
+        for name, definition in self._defined.items():
             with contextlib.suppress(QueryError):  # the table may lack a quantity of the definition
                 known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)
@@ -365,7 +365,7 @@ class EventPosterior(Hypotheses):
 
     def bound(self, prior: Callable[..., object]) -> Callable[..., Any]:
         """Return a prior bound to what was read, as far as it asks for it."""
-        from phase_ppl.models.roles import bound
+        from phase_ppl.models.world_priors import bound
 
         return bound(prior, self.scene, self._video)
 

@@ -98,7 +98,7 @@ class Hypotheses(Printed):
         self._quantities = dict(quantities)
         self._rows = rows
         self._jackknives: dict[float, Jackknife | None] = {}
-        self._own: dict[str, Definition] = {}  # of quantities that the user defined
+        self._defined: dict[str, Definition] = {}  # of quantities that the user defined
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
@@ -130,12 +130,12 @@ class Hypotheses(Printed):
         """
         from phase_ppl.analysis.definitions import check_new_name, defined
 
-        check_new_name(name, self._quantities.keys() - self._own.keys())
+        check_new_name(name, self._quantities.keys() - self._defined.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = defined(name, definition, others, self._rows.values)
         self._quantities = {**others, name: quantity}
         self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
-        self._own[name] = definition
+        self._defined[name] = definition
         return self
 
     def define_from(self, path: str | os.PathLike[str]) -> Self:
@@ -155,7 +155,7 @@ class Hypotheses(Printed):
     @property
     def definitions(self) -> dict[str, Definition]:
         """What was defined: name -> conditions in words, or a function."""
-        return dict(self._own)
+        return dict(self._defined)
 
     def _defining(self, others: Mapping[str, Definition]) -> Self:
         """Define what another posterior of the same event has; return this one."""
@@ -165,9 +165,9 @@ class Hypotheses(Printed):
 
     def _definitions_to_keep(self) -> dict[str, str]:
         """Return the attribute of a file with the definitions in words that need no function."""
-        known = {name: q for name, q in self._quantities.items() if name not in self._own}
+        known = {name: q for name, q in self._quantities.items() if name not in self._defined}
         kept: dict[str, str] = {}
-        for name, definition in self._own.items():
+        for name, definition in self._defined.items():
             if isinstance(definition, str):
                 with contextlib.suppress(QueryError):
                     conditions(known, definition)
@@ -276,7 +276,7 @@ class Hypotheses(Printed):
         return Mode(label, doubt(mass, without, without_each, of._size_of(rows), luck))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
-        """Return the leading goals and relation, and whether it is sure that they lead.
+        """Return the marginal MAP goals and relation, and whether it is sure that they lead.
 
         Returns:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
@@ -462,7 +462,7 @@ class Hypotheses(Printed):
         columns: dict[str, Any] = {**self._rows.index, **self._rows.values}
         for name, quantity in self._quantities.items():
             if quantity.labels is not None:
-                values = quantity.values if name in self._own else None
+                values = quantity.values if name in self._defined else None
                 columns[name] = np.array(values or quantity.labels)[columns[name]]
         columns = {name: columns[name] for name in (*self._rows.index, *self._quantities)}
         return pd.DataFrame({**columns, "weight": self._rows.weights})
@@ -570,7 +570,7 @@ class Hypotheses(Printed):
 
     def _most_effective(self) -> float:
         """Return how many independent draws the weights can be worth at most (Kish)."""
-        return estimate.worth(self._rows.weights)
+        return estimate.kish_size(self._rows.weights)
 
     def _size_of(self, rows: NDArray[np.bool_]) -> float:
         """Return how many independent draws those of ``rows`` would be as sure as; or NaN."""

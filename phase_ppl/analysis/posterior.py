@@ -19,7 +19,7 @@ from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity, vocabulary_of
+from phase_ppl.analysis.quantities import ScenarioFunction, users_quantity, vocabulary_of
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -105,7 +105,7 @@ class Posterior(EventPosterior):
         words = vocabulary_of(trees.space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
-            known[site], columns[site] = own_quantity(counted, site, columns[site])
+            known[site], columns[site] = users_quantity(counted, site, columns[site])
         groups, parts = (
             chain_groups(tree)[rows.index["chain"]],
             halves(counted, self._weights, rows),
@@ -185,14 +185,14 @@ class Posterior(EventPosterior):
         }
         frame = pd.DataFrame({**columns, "sim_seed": stats["sim_seed"].values.ravel()})
         visited = frame.groupby(names, sort=False).ngroup().to_numpy()
-        size = estimate.worth(estimate.shares(visited, self._rows.weights))
+        size = estimate.kish_size(estimate.shares(visited, self._rows.weights))
         if len(stats["draw"]) == 1 and "log_evidence" in stats:
             # a population was resampled repeatedly
             return size / 2
         if not are_equal(self._rows.weights) or trees.are_weighted(self._counted):
             return size
         level = stats["log_joint"].values.mean(axis=1)
-        arrived = estimate.worth(normalised(np.where(np.isfinite(level), level, -np.inf)))
+        arrived = estimate.kish_size(normalised(np.where(np.isfinite(level), level, -np.inf)))
         return size if arrived >= _ARRIVED * len(level) else min(size, arrived)
 
     @classmethod
@@ -269,7 +269,10 @@ class Posterior(EventPosterior):
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = trees.reweighted(self._tree, self.bound(prior))
         changed = self._under_weights(self._weights, tree)
-        sizes = estimate.worth(changed.table.weights), estimate.worth(self.table.weights)
+        sizes = (
+            estimate.kish_size(changed.table.weights),
+            estimate.kish_size(self.table.weights),
+        )
         trees.check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = trees.settings_under(
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
@@ -279,7 +282,7 @@ class Posterior(EventPosterior):
     def _under_weights(self, weights: str, tree: xr.DataTree | None = None) -> Posterior:
         tree, scenario = self._tree if tree is None else tree, self._words.scenario
         other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
-        return other._defining(self._own)
+        return other._defining(self._defined)
 
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.

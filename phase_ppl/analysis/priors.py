@@ -15,11 +15,11 @@ from phase_ppl.analysis.answers import answer_lines, answers
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import vocabulary_of
-from phase_ppl.analysis.stepwise_table import GOLDEN, MOST_HYPOTHESES, Prior
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
+from phase_ppl.models.prior_masses import MOST_HYPOTHESES, PriorMasses
 from phase_ppl.models.priors import (
     available,
     correlated_strengths,
@@ -33,6 +33,7 @@ from phase_ppl.models.priors import (
     uniform,
 )
 from phase_ppl.models.stepwise import stepwise_prior
+from phase_ppl.world.arrays import GOLDEN
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import qualified_name
@@ -62,9 +63,9 @@ class Summary(Hypotheses):
     ``print`` shows the probable goals, relation, scenario and strengths, ``to_dict`` has all.
     """
 
-    def __init__(self, title: str, prior: Prior) -> None:
+    def __init__(self, title: str, prior: PriorMasses) -> None:
         space, words = prior.space, vocabulary_of(prior.space)
-        drawn = prior.n_hypotheses > MOST_HYPOTHESES
+        drawn = prior.are_many
         found = prior.drawn(np.exp(prior.log_goals)) if drawn else prior.enumerated()
         mass = np.exp(found.log_prior - found.log_drawn)
         kept = np.flatnonzero(mass)
@@ -140,7 +141,7 @@ def summary(
         bound = for_table(given, event.scene, event.observation)
     kept, _ = stepwise_prior(bound, world, levels)
     every = np.array(list(itertools.product(levels, repeat=len(world.agents))))
-    return Summary(title, Prior(space_of(world), kept, every))
+    return Summary(title, PriorMasses(space_of(world), kept, every))
 
 
 def __dir__() -> list[str]:

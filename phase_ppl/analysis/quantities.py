@@ -44,7 +44,7 @@ from phase_ppl.world.hypothesis import (
     SCENARIO_TABLE,
     SCENARIOS,
 )
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
@@ -162,7 +162,7 @@ def titles(goals: Mapping[str, str], relations: Mapping[str, str]) -> dict[str, 
     return found
 
 
-def own_quantity(
+def users_quantity(
     tree: xr.DataTree, name: str, values: NDArray[Any]
 ) -> tuple[Quantity, NDArray[Any]]:
     """Return a user's own site as a quantity, and its column as codes or numbers.
@@ -176,8 +176,8 @@ def own_quantity(
     occurring = np.unique(np.append(variable.values, array(tree, "simulations", name)))
     if "flag_meanings" not in variable.attrs:
         options = tuple(occurring.tolist())
-        own = Quantity(name, tuple(map(str, options)), options)
-        return own, np.searchsorted(occurring, values)
+        discrete = Quantity(name, tuple(map(str, options)), options)
+        return discrete, np.searchsorted(occurring, values)
     meanings = tuple(map(str, json.loads(variable.attrs["flag_meanings"])))
     if not np.isin(occurring, np.arange(len(meanings))).all():
         raise InvalidEventError(
@@ -190,7 +190,7 @@ def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
     """Return the codes of the parts of a goal that the agent ``holder`` has."""
     literal = goal_literal(goal, holder)
     sign = 0 if literal.positive else 1
-    if literal.predicate is Predicate.TOUCH:
+    if literal.predicate is PredicateKind.TOUCH:
         return 3, literal.target, len(LANDMARKS), sign
     agent = literal.subject < len(AGENTS)
     kind = (1 if literal.subject == holder else 2) if agent else 0
@@ -223,8 +223,8 @@ def relation_codes(
     if scenario is None:
         codes = SCENARIO_TABLE[goal_red, goal_green].astype(np.int64)
     else:
-        own = Quantity("scenario", SCENARIOS)
-        code = functools.cache(lambda red, green: own.code(scenario(GOALS[red], GOALS[green])))
+        known = Quantity("scenario", SCENARIOS)
+        code = functools.cache(lambda red, green: known.code(scenario(GOALS[red], GOALS[green])))
         pairs = zip(goal_red.tolist(), goal_green.tolist(), strict=True)
         codes = np.array([code(red, green) for red, green in pairs], np.int64)
     relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
@@ -273,11 +273,11 @@ class Vocabulary:
 
         Beside PHASE without stated goals, which of those who help or hinder mean nothing.
         """
-        own = {k: v for k, v in columns.items() if k not in self.space.columns}
+        users = {k: v for k, v in columns.items() if k not in self.space.columns}
         sites = (*self.space.goal_sites, *self.space.strength_sites)
         kept = {name: columns[name] for name in sites if name in columns}
         alphas = self.space.alpha_codes(columns[self.space.company_site])
-        return {**kept, **self.relation_codes(columns), **alphas, **own}
+        return {**kept, **self.relation_codes(columns), **alphas, **users}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,17 +14,15 @@ import numpy as np
 import xarray as xr
 
 from phase_ppl.analysis.tree import kept_world
+from phase_ppl.models.prior_masses import APART
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 SCHEMA: Final = "phase_ppl/stepwise/3"
 _OF_PAIRS: Final = "phase_ppl/stepwise/2"  # in PHASE, log likelihoods by pair of goals
-SCHEMAS: Final = (
-    *(SCHEMA, _OF_PAIRS, "phase_ppl/stepwise-roles/1"),
-    *("phase_ppl/stepwise-own/1", "phase_ppl/stepwise-own-roles/1"),
-)
-"""Of files of posteriors of the closed loop; all but the first are of older versions."""
+SCHEMAS: Final = (SCHEMA, _OF_PAIRS)
+"""Of files of posteriors of the closed loop; the second is of version 0.1.0."""
 
 _ATTRS: Final = ("event_id", "settings", "cost", "weight")
 _ALWAYS: Final = {
@@ -42,7 +40,7 @@ _POLICIES: Final = {
     "density": ("time", "joint_action"),
     "policies": ("time", "agent", "policy", "planner_seed", "action"),
     "policy_of": ("time", "agent", "standpoint"),
-    "shift": ("time", "table"),
+    "shift": ("time", "table"),  # jackknife replicates
 }
 _READ: Final = {
     "goals": ("read", "agent"),
@@ -50,12 +48,6 @@ _READ: Final = {
     "log_likelihood_without": ("part", "time", "read", "combination"),
 }
 _MARGINALS: Final = {"marginals": ("time", "agent", "goal")}
-APART: Final = {
-    "log_prior_goals": ("agent", "goal"),
-    "log_prior_company": ("way",),
-    "log_prior_strengths": ("agent", "level"),
-}
-"""Variables of a prior whose sites are independent of each other; others have ``log_prior``."""
 
 
 def dimensions(space: HypothesisSpace) -> dict[str, tuple[str, ...]]:
@@ -88,45 +80,37 @@ def labels(space: HypothesisSpace, levels: tuple[float, ...]) -> dict[str, list[
 
 
 def _converted(found: xr.Dataset) -> xr.Dataset:
-    """Return what an older version wrote as this one does."""
-    schema = found.attrs.get("schema")
-    if schema == SCHEMA:
+    """Return what version 0.1.0 wrote as this one does."""
+    if found.attrs["schema"] == SCHEMA:
         return found
-    found = found.copy()
-    if "strength_red" in found.dims:
-        levels = [found[name].values for name in ("strength_red", "strength_green")]
-        found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
-    if "policies" in found:
-        n = found.sizes["planner_seed"]
-        tables = np.zeros((found.sizes["time"], 1 + (n if n > 1 else 0)))
-        found["shift"] = _POLICIES["shift"], tables
-    if schema == _OF_PAIRS:
-        pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
-        with_pairs = {
-            name: (("planner_seed", "time")[1 - many :], found[name].values)
-            for many, name in enumerate(("log_likelihood", "log_likelihood_without"))
-        }
-        strengths = found["strengths"].values
-        found = found.drop_dims(("goal_red", "goal_green")).drop_vars("strengths")
-        found["goals"] = _READ["goals"], pairs
-        found["strengths"] = _BY_AGENTS["strengths"], strengths.reshape(len(strengths), -1)
-        for name, (dims, values) in with_pairs.items():
-            found[name] = (*dims, "read"), values.reshape(*values.shape[:-2], len(pairs))
+    levels = [found[name].values for name in ("strength_red", "strength_green")]
+    pairs = np.indices((found.sizes["goal_red"], found.sizes["goal_green"])).reshape(2, -1).T
+    with_pairs = {
+        name: (("planner_seed", "time")[1 - many :], found[name].values)
+        for many, name in enumerate(("log_likelihood", "log_likelihood_without"))
+    }
+    strengths = found["strengths"].values
+    found = found.drop_dims(("goal_red", "goal_green")).drop_vars("strengths")
+    found["combinations"] = _ALWAYS["combinations"], list(itertools.product(*levels))
+    found["goals"] = _READ["goals"], pairs
+    found["strengths"] = _BY_AGENTS["strengths"], strengths.reshape(len(strengths), -1)
+    for name, (dims, values) in with_pairs.items():
+        found[name] = (*dims, "read"), values.reshape(*values.shape[:-2], len(pairs))
     return found.assign_attrs(schema=SCHEMA)
 
 
 def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, unless ``found`` was read."""
-    is_own = "samples" in found.attrs
-    is_read = is_own or "log_likelihood" in found
+    users_simulator = "samples" in found.attrs
+    is_read = users_simulator or "log_likelihood" in found
     known = dimensions(space)
-    names = {*_ALWAYS, *(() if is_own else _BY_AGENTS), *(_READ if is_read else _POLICIES)}
-    apart = {*APART, *(() if is_own else _MARGINALS)}
+    names = {*_ALWAYS, *(() if users_simulator else _BY_AGENTS), *(_READ if is_read else _POLICIES)}
+    apart = {*APART, *(() if users_simulator else _MARGINALS)}
     names |= {"log_prior"} if "log_prior" in found else apart
     missing = [name for name in _ATTRS if name not in found.attrs]
     if missing := sorted((*missing, *(name for name in names if name not in found.variables))):
         raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    if is_read and not is_own:  # goals and strengths apart
+    if is_read and not users_simulator:  # goals and strengths apart
         known |= {"log_likelihood": ("time", "read")}
         known |= {"log_likelihood_without": ("planner_seed", "time", "read")}
     for name in names:
@@ -139,7 +123,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     for name, size in sizes.items():
         if found.sizes.get(name, size) != size:
             raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
-    if is_read and not is_own and found.sizes["planner_seed"] == 1:
+    if is_read and not users_simulator and found.sizes["planner_seed"] == 1:
         raise InvalidEventError("planner_seed has 1 entry, expected none or several")
     for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy", 0))):
         if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
@@ -151,7 +135,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
     for name in names & {*numbers}:
         values = found[name].values
         # not asked, or not seen
-        unknown = name == "trajectory" or (name == "log_likelihood" and is_own)
+        unknown = name == "trajectory" or (name == "log_likelihood" and users_simulator)
         if (np.isnan(values).any() and not unknown) or (values == np.inf).any():
             raise InvalidEventError(f"{name} has values that are no {numbers[name]}")
 

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
-from phase_ppl.analysis.estimate import Estimate, Jackknife, over_sets, worth
+from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
-from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
 from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
-from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, Table, table_of
+from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
+from phase_ppl.analysis.users_sites import WithSites, with_sites
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.data.hdf5 import read_netcdf, root_attribute
+from phase_ppl.models.prior_masses import MOST_HYPOTHESES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -55,7 +56,7 @@ class StepwisePosterior(EventPosterior):
     """The closed loop's posterior over all agents' goals, relations and strengths.
 
     The sum over hypotheses leaves none out, unless there are more than
-    :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn; what
+    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES`, of which so many are drawn; what
     goes into it is approximate. Policies are estimated by searches: ``.error`` of every answer is
     the standard error that comes of it, by the jackknife over the sets of searches
     (``planner_seeds``), NaN with one. Velocities, holds and strengths come from a filter, and
@@ -110,7 +111,7 @@ class StepwisePosterior(EventPosterior):
         """The table of hypotheses and of the sites that a prior of one's own samples beside them.
 
         Questions that name such a site are answered from it
-        (:mod:`phase_ppl.analysis.own_sites`): exactly, where these sites have up to 64
+        (:mod:`phase_ppl.analysis.users_sites`): exactly, where these sites have up to 64
         combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
 
         Raises:
@@ -126,7 +127,7 @@ class StepwisePosterior(EventPosterior):
             )
         prior = self.bound(self._prior)
         found = with_sites(prior, self._table, self._frame, self._words)
-        return found._defining({**self._own, **self._of_sites})
+        return found._defining({**self._defined, **self._of_sites})
 
     @functools.cached_property
     def _site_names(self) -> tuple[str, ...]:
@@ -156,12 +157,13 @@ class StepwisePosterior(EventPosterior):
         except QueryError:
             if self._prior is None or not self._site_names:
                 raise
-            return self.sites.query(question)  # its error knows the further names
+            # it may name a further site, which words alone do not tell; else the error does
+            return self.sites.query(question)
 
     def define(self, name: str, definition: Definition) -> Self:
         if self._names_sites(definition):
             self.sites.define(name, definition)
-            if self._own.pop(name, None) is not None:
+            if self._defined.pop(name, None) is not None:
                 self._quantities = {k: one for k, one in self._quantities.items() if k != name}
             self._of_sites[name] = definition
             return self
@@ -184,12 +186,12 @@ class StepwisePosterior(EventPosterior):
         nothing of them.
         """
         same = ((column == column[self._first_alike]).all() for column in columns)
-        return self._table.own or all(same)
+        return self._table.users_simulator or all(same)
 
     @functools.cached_property
     def _first_alike(self) -> IntArray:
         """(row,) the first row with the same goals and alphas; such rows follow each other."""
-        apart = {*self.strengths_of.values(), *self._own}
+        apart = {*self.strengths_of.values(), *self._defined}
         columns = [column for name, column in self._rows.values.items() if name not in apart]
         new = np.any([column[1:] != column[:-1] for column in columns], axis=0)
         place = np.arange(len(self._rows.weights))
@@ -227,7 +229,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def definitions(self) -> dict[str, Definition]:
-        return {**self._own, **self._of_sites}
+        return {**self._defined, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
         from phase_ppl.models.effective import as_given
@@ -256,14 +258,17 @@ class StepwisePosterior(EventPosterior):
     @property
     def tempering(self) -> str:
         weight, of_strengths = float(self._found.attrs["weight"]), self._strength_weight
-        counts = {"goals": weight, "strengths": weight if self._table.own else of_strengths}
+        counts = {
+            "goals": weight,
+            "strengths": weight if self._table.users_simulator else of_strengths,
+        }
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
 
     @property
     def _strength_weight(self) -> float:
         """What a frame counts as evidence for strengths apart; 1 where it is not known."""
-        if self._table.own:
+        if self._table.users_simulator:
             return 1.0
         tracking = self.settings.get("likelihood", {}).get("tracking", {})
         return float(tracking.get("strength_weight", 1.0))
@@ -287,7 +292,7 @@ class StepwisePosterior(EventPosterior):
         was expected is the posterior given the frames before. 0 for the first frame. NaN of all
         with a simulator of one's own, of which no perfect match is known.
         """
-        if self._table.own:
+        if self._table.users_simulator:
             return np.full(self._frame + 1, np.nan)
         found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
@@ -338,7 +343,7 @@ class StepwisePosterior(EventPosterior):
             "surprising_share": float((surprise > SURPRISE).mean()) if known else None,
             "unexplained_most": float(unexplained[1:].max()) if seen else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
-            **of_tracks(observed, self.scene, not self._table.own),
+            **of_tracks(observed, self.scene, not self._table.users_simulator),
         }
         return {**result, **of_reading(result)}
 
@@ -361,7 +366,9 @@ class StepwisePosterior(EventPosterior):
         columns = words.completed(self._table.columns())
         told = (*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of.values())
         sizes = {name: len(words.quantities[name].categories()) for name in told}
-        masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
+        masses = {
+            name: np.empty((self._table.n_replicates, n, size)) for name, size in sizes.items()
+        }
         for t in range(n):
             for row, weights in enumerate(self._table.weights(t)):
                 for name, size in sizes.items():
@@ -395,7 +402,7 @@ class StepwisePosterior(EventPosterior):
         except (QueryError, UnknownNameError):  # it may be about strengths, in a larger table
             wanted, other = self._sides(table.all_columns(), event, over)
             masses_at = table.all_log_masses
-        log_odds, possible = np.empty((table.n_tables, self._frame + 1)), False
+        log_odds, possible = np.empty((table.n_replicates, self._frame + 1)), False
         for t in range(self._frame + 1):
             for place, mass in enumerate(masses_at(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
@@ -417,7 +424,7 @@ class StepwisePosterior(EventPosterior):
         if not table.space.is_listed:
             return None
         names, n = table.space.goal_sites, self._frame + 1
-        log_likelihood, log_prior = table.by_goals(table.by_points()[:n]), table.prior_of_goals()
+        log_likelihood, log_prior = table.on_grid(table.by_frame()[:n]), table.prior_of_goals()
         labels = {key: list(self.world.goals) for key in names}
         weighed = float(self._found.attrs["weight"]) * log_likelihood
         return xr.Dataset(
@@ -459,7 +466,7 @@ class StepwisePosterior(EventPosterior):
     def _head(self, found: Mapping[str, Any]) -> str:
         seeds = found["planner_seeds"]
         searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
-        if self._table.own:
+        if self._table.users_simulator:
             samples, simulator = self._table.samples, self.settings["model"]["simulator"]
             searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
         return f"{self.event_id}: closed loop, {found['frames']} frames; all hypotheses, {searched}"
@@ -468,14 +475,15 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
+        counted = "frames in full"
         if self._strength_weight != 1:
-            evidence += f"; as evidence for strengths a frame counts {self._strength_weight:g}"
+            counted += f"; tempered {self._strength_weight:g} for strengths"
+        evidence = f"log density of the video, {self.log_evidence:.1f} nats ({counted})"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
-        what = "calls" if self._table.own else "searches"
+        what = "calls" if self._table.users_simulator else "searches"
         words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
@@ -487,7 +495,7 @@ class StepwisePosterior(EventPosterior):
         table = self._table
         if not table.sampled:
             return []
-        n = worth(table.weights(self._frame)[0])
+        n = kish_size(table.weights(self._frame)[0])
         return wrapped(
             "hypotheses",
             f"of {table.prior.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "

@@ -123,7 +123,7 @@ def shape_of_draws(tree: xr.DataTree) -> tuple[int, ...]:
     return array(tree, "posterior", space_of_tree(tree).goal_sites[0]).shape
 
 
-def own_sites(tree: xr.DataTree) -> list[str]:
+def users_sites(tree: xr.DataTree) -> list[str]:
     """Return a user's own sites that are single numbers."""
     draws, columns = tree["posterior"].dataset, space_of_tree(tree).columns
     return [str(n) for n, one in draws.data_vars.items() if n not in columns and one.ndim == 2]
@@ -364,19 +364,19 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import log_prior_of_hypotheses, upstream
-    from phase_ppl.models.roles import drawn_stated, kept_prior, log_prior_of_effective
+    from phase_ppl.models.world_priors import drawn_stated, kept_prior, log_prior_of_effective
 
     rows = simulation_of_draw(tree)
     if (rows < 0).any():
         raise InvalidEventError("a draw rests on no completed simulation of the tree")
     simulations, draws = tree["simulations"].to_dataset(), tree["posterior"].to_dataset()
     space, goals = space_of_tree(tree), effective_goals(tree, "simulations")
-    own = [str(name) for name in draws.data_vars if name not in space.columns]
+    users = [str(name) for name in draws.data_vars if name not in space.columns]
     strengths = {name: simulations[name].values for name in space.strength_sites}
     effective = log_prior_of_effective(program, goals, strengths)
     effective[effective <= NO_DENSITY] = -np.inf
-    if own and set(own) <= upstream(program).keys():
-        names = (*space.kept_columns, *own)
+    if users and set(users) <= upstream(program).keys():
+        names = (*space.kept_columns, *users)
         columns = {name.removeprefix("stated_"): simulations[name].values for name in names}
         log_prior = log_prior_of_hypotheses(program, columns)
         log_prior[log_prior <= NO_DENSITY] = -np.inf
@@ -384,7 +384,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     else:
         change = effective - simulations["log_prior_effective"].values
         stated, _ = drawn_stated(program, goals, np.stack(list(strengths.values()), axis=1))
-        simulations, draws = simulations.drop_vars(own), draws.drop_vars(own)
+        simulations, draws = simulations.drop_vars(users), draws.drop_vars(users)
         for name, codes in zip(space.kept_columns, stated.T, strict=False):
             simulations[name] = simulations[name].copy(data=codes.astype(simulations[name].dtype))
             draws[name] = draws[name].copy(data=simulations[name].values[rows])

@@ -221,7 +221,7 @@ def _decided(leaders: Record, advice: str) -> Check:
     ]
     says, value = (
         f"Not decided: {'; '.join(open_ones)}.",
-        f"{sure} of {len(leaders)}, beyond errors",
+        f"{sure} of {len(leaders)}, allowing for errors",
     )
     return Check("answers above 1/2", "doubt" if open_ones else "ok", value, "all", says, advice)
 
@@ -413,19 +413,21 @@ def _worth(found: Record, longer: str) -> Check:
 def of_reading(found: Record) -> dict[str, Any]:
     """Return the verdict on a posterior of the closed loop."""
     n_sets, samples, leaders = found["planner_seeds"], found["samples"], found["leading"]
-    own = samples is not None
+    users_simulator = samples is not None
     if found["frames"] == 1:
         says = "Nothing was seen but the start: this is the prior."
         see = "watch further frames"
         return judged(leaders, [Check("frames seen", "doubt", "the start", "2 or more", says, see)])
     given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
     more = f"search more: likelihood=ppl.StepwiseLikelihood({given})"
-    checks = [_explained(found, own), *_of_tracks(found)]
-    checks += [] if own else [_expected(found)]
-    checks.append(_decided(leaders, "" if own and not samples else more))
+    checks = [_explained(found, users_simulator), *_of_tracks(found)]
+    checks += [] if users_simulator else [_expected(found)]
+    checks.append(_decided(leaders, "" if users_simulator and not samples else more))
     errors = {key: one["error"] or 0.0 for key, one in leaders.items()}
     worst = max(errors, key=lambda key: errors[key])
-    sets, name = ("parts of the samples", "samples") if own else ("sets of searches", "searches")
+    sets, name = (
+        ("parts of the samples", "samples") if users_simulator else ("sets of searches", "searches")
+    )
     if n_sets > 1:
         says = (
             f"The {n_sets} {sets} disagree on {_asked(worst)} (standard error "
@@ -434,11 +436,11 @@ def of_reading(found: Record) -> dict[str, Any]:
         state = "doubt" if errors[worst] > DISAGREE else "ok"
         value = f"error {errors[worst]:.2g}, {n_sets} sets"
         checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
-    elif not own:
+    elif not users_simulator:
         says = "With one set of searches nothing tells how much of this is the planner's chance."
         checks.append(Check(f"{name} agree", "unknown", "one set", "2 sets or more", says))
     closing = "Samples come near every frame, and their parts agree."
-    if not own:
+    if not users_simulator:
         closing = "Actions explain every frame, as the model expects them, and the searches agree."
     elif not samples:
         closing = (
@@ -448,7 +450,7 @@ def of_reading(found: Record) -> dict[str, Any]:
     return judged(leaders, checks, closing)
 
 
-def _explained(found: Record, own: bool) -> Check:
+def _explained(found: Record, users_simulator: bool) -> Check:
     frames, most, name = (
         found["unexplained_frames"],
         found["unexplained_most"],
@@ -458,14 +460,14 @@ def _explained(found: Record, own: bool) -> Check:
         says = (
             f"No sample of the simulator comes near {_frames(frames)}: the tails of its density "
             "decide there, and samples say nothing about these."
-            if own
+            if users_simulator
             else f"No action explains {_frames(frames)}: a body is where nothing could have put "
             "it. So do not use the probabilities: this video is outside the model."
         )
         return Check(name, "fail", f"all but {len(frames)}", "all", says, _TRACKS)
     if most is None:
         return Check(name, "ok", "all", "all")
-    return Check(name, "ok", f"all, within {most:.0f} nats", f"{UNEXPLAINED:.0f} nats")
+    return Check(name, "ok", f"all, within {most:.0f} nats", f"{UNEXPLAINED:.0f} nats or less")
 
 
 def _expected(found: Record) -> Check:

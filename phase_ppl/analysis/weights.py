@@ -305,8 +305,8 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
 
 def _sites(tree: xr.DataTree) -> list[str]:
     """Return the sites that both draws and simulations give: ours, then a user's own."""
-    own = [name for name in trees.own_sites(tree) if name in tree["simulations"].dataset]
-    return [*trees.space_of_tree(tree).columns, *own]
+    users = [name for name in trees.users_sites(tree) if name in tree["simulations"].dataset]
+    return [*trees.space_of_tree(tree).columns, *users]
 
 
 def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:

@@ -37,7 +37,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_strength
-from phase_ppl.world.names import Literal, Predicate
+from phase_ppl.world.names import Literal, PredicateKind
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import ALPHA_SITE, space_of
@@ -131,7 +131,7 @@ class WhatIf(Printed):
     def _wanted_near(self, literal: Literal, holder: int) -> bool | None:
         """Return whether a goal wants a removed entity near something; None: it is about others."""
         planned = planned_as(literal, holder, self.scenes[0])
-        touched = [planned.target] if planned.predicate is Predicate.TOUCH else []
+        touched = [planned.target] if planned.predicate is PredicateKind.TOUCH else []
         about_it = not {planned.subject, *touched}.isdisjoint(self.removed)
         return planned.positive if about_it else None
 

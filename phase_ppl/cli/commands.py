@@ -128,13 +128,13 @@ class Options(argparse.Namespace):
         found = {name: getattr(self, name, None) for name in names}
         return {name: v for name, v in found.items() if not (v is None or v in ([], {}))}
 
-    def of(self, function: Callable[..., Any], /, **own: Any) -> dict[str, Any]:
-        """Return a function's arguments: given options of the same names, and ``own``."""
-        return {**self.given(*inspect.signature(function).parameters), **own}
+    def of(self, function: Callable[..., Any], /, **more: Any) -> dict[str, Any]:
+        """Return a function's arguments: given options of the same names, and ``more``."""
+        return {**self.given(*inspect.signature(function).parameters), **more}
 
-    def call(self, function: Callable[..., Any], /, **own: Any) -> Any:
-        """Call a function with given options of the names of its arguments, and ``own``."""
-        return function(**self.of(function, **own))
+    def call(self, function: Callable[..., Any], /, **more: Any) -> Any:
+        """Call a function with given options of the names of its arguments, and ``more``."""
+        return function(**self.of(function, **more))
 
     def load(self) -> Event:
         """Return the event of ``$event``."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli import own
+from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line, report_hint
 from phase_ppl.world.errors import AnswerError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
@@ -73,14 +73,14 @@ def evaluate(options: Options) -> int:
     """
     if options.events is None:
         return _show_again(options)
-    models = own.models_of(options.model)
+    models = users_parts.models_of(options.model)
     labelled = len(models) > 1 or list(models) != list(models.values())  # each has a folder
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
     plain = options.given(*_SHORT_FOR)
     for name in plain.keys() & {"kernel", "prior", "simulator"}:
-        plain[name] = own.taken(plain[name], name, named=name != "simulator")
-    of_models = own.options_of(models, plain, options.option)
+        plain[name] = users_parts.taken(plain[name], name, named=name != "simulator")
+    of_models = users_parts.options_of(models, plain, options.option)
     events = phase_ppl.all_events(options.events, options.split)
     if options.judgments is not None:
         options.judgments = phase_ppl.load_judgments(options.judgments, events)

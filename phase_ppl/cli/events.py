@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli import own
+from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import Options
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
@@ -24,7 +24,7 @@ def goals(options: Options) -> None:
 
     example: phase-ppl goals
     """
-    world = own.taken(options.world or "PHASE", "world")
+    world = users_parts.taken(options.world or "PHASE", "world")
     if isinstance(world, str):
         if Path(world).suffix in _EVENTS:
             world = phase_ppl.load_events(world)[0].scene.world

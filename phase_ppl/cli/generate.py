@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli import own
+from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import FAILED, Options
 from phase_ppl.world.errors import check_name
 from phase_ppl.world.files import writable_folder
@@ -46,11 +46,11 @@ def generate(options: Options) -> int:
     """
     given: dict[str, Any] = {}
     if options.world is not None:
-        given["world"] = own.taken(options.world, "world")
+        given["world"] = users_parts.taken(options.world, "world")
     if options.prior is not None:
         from phase_ppl.models import priors
 
-        prior = own.taken(options.prior, "prior")
+        prior = users_parts.taken(options.prior, "prior")
         prior = priors.named(prior) if isinstance(prior, str) else prior
         given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
     if options.preset is not None:
@@ -86,7 +86,7 @@ def generate(options: Options) -> int:
 
 def _family(cell: str) -> str:
     """Return the name of a cell's family, after running the file of ``FILE.py:NAME``."""
-    return cell if own.taken(cell, "family") is cell else cell.rpartition(":")[2]
+    return cell if users_parts.taken(cell, "family") is cell else cell.rpartition(":")[2]
 
 
 def verify(options: Options) -> int:

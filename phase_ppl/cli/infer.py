@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli import own
+from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import (
     BAD_INPUT,
     INTERRUPTED,
@@ -77,13 +77,15 @@ def infer(options: Options) -> int:
             f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
             "delete it"
         )
-    settings = own.stepwise_settings() if stepwise else ()
+    settings = users_parts.stepwise_settings() if stepwise else ()
     of_likelihood = {name: v for name, v in options.option.items() if name in settings}
     of_kernel = {name: v for name, v in options.option.items() if name not in settings}
     if taken := of_kernel.keys() & inspect.signature(phase_ppl.infer).parameters.keys():
         raise InvalidSettingError(f"--option {min(taken)}: no option of a kernel")
     with _results_folder(options, options.out, _RESULTS) as out:
-        model = own.model(options, options.planner if options.watch else None, **of_likelihood)
+        model = users_parts.model(
+            options, options.planner if options.watch else None, **of_likelihood
+        )
         if options.watch:
             wrong = [f"--{name.replace('_', '-')}" for name in options.given(*_OF_SAMPLING)]
             if wrong := wrong + [f"--option {name}" for name in of_kernel]:
@@ -115,7 +117,7 @@ def _is_stepwise(options: Options, samples: bool) -> bool:
 
 
 def _kernel(options: Options) -> dict[str, Any]:
-    return {} if options.kernel is None else {"kernel": own.taken(options.kernel, "kernel")}
+    return {} if options.kernel is None else {"kernel": users_parts.taken(options.kernel, "kernel")}
 
 
 def resume(options: Options) -> int:
@@ -137,12 +139,12 @@ def resume(options: Options) -> int:
     saved = Checkpoint(options.file)
     before = saved.identity["model"]
     model = None
-    if options.given(*own.PARTS):
+    if options.given(*users_parts.PARTS):
         planner = None
         if options.simulator is None and before["planner"] is not None:
             planner = phase_ppl.PlannerConfig.from_dict(before["planner"])
         options.noise = options.noise or before["noise"]
-        model = own.model(options, planner)
+        model = users_parts.model(options, planner)
     folder = options.file.parent
     # a posterior beside the file is of the same run
     elsewhere = options.out is not None and options.out.resolve() != folder.resolve()
@@ -194,7 +196,7 @@ def _finish(
         _write_results(post, event, out, **options.given("preset"))
     if kept is not None and kept.exists():
         if code:
-            found = options.given(*own.PARTS, "kernel")
+            found = options.given(*users_parts.PARTS, "kernel")
             # a file cannot hold everything of a run
             needed = any(".py:" in text or "stepwise" in text for text in found.values())
             again = [f" --{name} {shlex.quote(text)}" for name, text in found.items() if needed]
@@ -304,7 +306,7 @@ def compare(options: Options) -> int:
         kept = options.checkpoint.resolve()
         names = [name for name in names if (options.out / name).resolve() != kept]
     with _results_folder(options, options.out, names) as out:
-        model = own.model(options, options.planner)
+        model = users_parts.model(options, options.planner)
         parts = {"kernels": _kernels(options.kernels), "reference": _reference(options.reference)}
         code = 0
         try:
@@ -342,5 +344,5 @@ def _reference(text: str | None) -> Any:
 
 
 def _with_options(text: str, option: str) -> tuple[Any, dict[str, Any]]:
-    name, given = own.with_settings(text, option)
-    return own.taken(name, "kernel"), given
+    name, given = users_parts.with_settings(text, option)
+    return users_parts.taken(name, "kernel"), given

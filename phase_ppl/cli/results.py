@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli import own
+from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import FAILED, POSTERIOR, Options
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.files import as_path, writable_folder
@@ -57,7 +57,7 @@ def query(options: Options) -> int:
     """
     post = _posterior(options)
     if options.prior is not None:
-        post = post.with_prior(own.taken(options.prior, "prior"))
+        post = post.with_prior(users_parts.taken(options.prior, "prior"))
     if options.define is not None:
         post.define_from(options.define)
     answers, failed = list[tuple[str, Any]](), list[QueryError]()

@@ -16,35 +16,38 @@ def log_likelihoods(
     log_density: FloatArray,
     policies: Sequence[FloatArray],
     numbers: Sequence[IntArray],
-    n_tables: int,
+    n_replicates: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (row,) log likelihoods of a frame by the first set of searches alone.
 
-    And (table, row) those with all sets, and without each; NaN where not all have searched. A
-    policy is a mean over the sets.
+    And (replicate, row): replicate 0 uses all sets, replicate k leaves out set k; NaN where not all
+    have searched. A policy is a mean over the sets.
 
     Args:
         log_density: (action of the first agent, of the second, ...) of the frame.
         policies: (agent) (policy, set, action) probabilities, NaN where a set has not searched.
         numbers: (agent) (row,) which of its policies an agent has.
-        n_tables: of the second result.
+        n_replicates: of the second result.
     """
     highest, every = log_density.max(), range(policies[0].shape[1])
-    place = np.ravel_multi_index(tuple(numbers), [len(own) for own in policies])
+    place = np.ravel_multi_index(tuple(numbers), [len(of_agent) for of_agent in policies])
 
     def by(sets: list[int]) -> FloatArray:
-        table = np.exp(log_density - highest)
-        for own in policies:  # the first axis goes, and what it becomes is put last
-            table = np.tensordot(table, own[:, sets].mean(axis=1), axes=(0, 1))
+        left = np.exp(log_density - highest)
+        for of_agent in policies:  # the first axis goes, and what it becomes is put last
+            left = np.tensordot(left, of_agent[:, sets].mean(axis=1), axes=(0, 1))
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(table.ravel())[place] + highest)
+            return np.asarray(np.log(left.ravel())[place] + highest)
 
-    left_out = (None, *every)[:n_tables]
-    return by([0]), np.array([by([one for one in every if one != other]) for other in left_out])
+    first = by([0])
+    if len(every) == 1:
+        return first, first[None]
+    left_out = (None, *every)[:n_replicates]
+    return first, np.array([by([one for one in every if one != other]) for other in left_out])
 
 
 def shift_of(first: FloatArray, every: FloatArray, log_mass: FloatArray) -> FloatArray:
-    """Return (table,) by how much all sets move the log likelihoods of the first alone.
+    """Return (replicate,) by how much all sets move the log likelihoods of the first alone.
 
     A mean over where all have searched, by log masses (row,) before the frame; 0 where none have.
     """

@@ -51,13 +51,13 @@ class Plans(NamedTuple):
     intent_of: IntArray
 
 
-class Conduct(NamedTuple):
-    """How agents act on their plans."""
+class ActionPolicy(NamedTuple):
+    """How agents act on their plans: a softmax policy with lapses."""
 
-    sharpness: float  # exponent of a search's root visits
+    sharpness: float  # exponent of a search's root visits, an inverse temperature
     lapse: float  # probability, by frame, that an agent does anything whatever
 
-    def policy(self, root: RootStatistics) -> FloatArray:
+    def of(self, root: RootStatistics) -> FloatArray:
         """Return (action,) probabilities of an agent, from what its search found.
 
         pi = (1 - lapse) visits^sharpness / Z + lapse / |A|
@@ -167,7 +167,7 @@ rest there is the first set alone."""
 _All = Sequence[Sequence[Plans]]  # (set, agent)
 
 
-class Reading(NamedTuple):
+class FrameReading(NamedTuple):
     """What one frame says."""
 
     density: FloatArray  # (joint action,) see :class:`GoalFilter`, and so the next
@@ -186,7 +186,7 @@ class Reading(NamedTuple):
     searches: int  # searches that were made
 
 
-def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[IntArray]]:
+def policies_of(plans: _All, policy: ActionPolicy) -> tuple[list[FloatArray], list[IntArray]]:
     """Return (agent) (policy, set, action) different policies, and (agent) (standpoint,) which.
 
     NaN where a set was not to search; all actions are alike for what nobody can want.
@@ -197,7 +197,7 @@ def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[I
         kinds, number = np.unique(intents, axis=0, return_inverse=True)
         of_sets = []
         for place, one in enumerate(sets):
-            found = [conduct.policy(root) for root in one.roots]
+            found = [policy.of(root) for root in one.roots]
             found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
             own = np.array(found)[kinds[:, place]]
             own[(kinds[:, place] == NO_INTENT) & (kinds[:, 0] != NO_INTENT)] = np.nan
@@ -222,18 +222,18 @@ class GoalFilter:
     ``policy_of``
         (agent, standpoint) which of its policies.
     ``shift``
-        (table,) what is to be added to the log likelihood by the first set of searches alone, where
-        not all sets have searched: with all of them, and without each. It is by how much the others
-        have moved that of the rest in the mean: a log of fewer searches is lower, which would speak
-        against whoever is improbable already.
+        (jackknife replicate,) what is to be added to the log likelihood by the first set of
+        searches alone, where not all sets have searched. It is by how much the others have moved
+        that of the rest in the mean: a log of fewer searches is lower, which would speak against
+        whoever is improbable already.
     ``marginals``
         (agent, goal) log masses of each agent's goal, the others taken to act as is believed of
         them: approximate, to draw hypotheses from where they are too many. None without
-        ``log_goals``.
+        ``log_goals``, as in PHASE, whose hypotheses are all in a table.
 
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
-        conduct: how agents act on their plans.
+        policy: how agents act on their plans.
         weight: what a frame counts as evidence.
         followed: combinations of effective goals (row, agent), and their log prior masses. With the
             weight these say which are probable by now, for which all sets search. None: they are
@@ -246,41 +246,41 @@ class GoalFilter:
     def __init__(
         self,
         sets: SearchSets,
-        conduct: Conduct,
+        policy: ActionPolicy,
         weight: float,
         followed: tuple[IntArray, FloatArray] | None,
         log_goals: FloatArray | None = None,
     ) -> None:
-        self._sets, self._conduct, self._weight = sets, conduct, weight
+        self._sets, self._policy, self._weight = sets, policy, weight
         self.combinations = sets.hidden.combinations
         world = sets.scene.world
-        self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
-        self._n_tables = 1 + (len(sets) if len(sets) > 1 else 0)
+        self._standpoints = [standpoints(agent, world) for agent in range(len(world.agents))]
+        self._n_replicates = 1 + (len(sets) if len(sets) > 1 else 0)
         self._is_followed = followed is not None
         self._marginals = None if log_goals is None else log_goals.copy()
         if followed is not None:
             goals, log_mass = followed
             self._log_mass = log_mass.copy()
-            self._of_rows = [points.of(goals) for points in self._points]
+            self._of_rows = [one.of(goals) for one in self._standpoints]
         if log_goals is not None:
             # (agent) (goal,) the first standpoint of each goal, where the others want something
             # else; -1: the agent cannot have it
             self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
-            for usual, points in zip(self._usual, self._points, strict=True):
-                for one in reversed(points.groups):
+            for usual, of_agent in zip(self._usual, self._standpoints, strict=True):
+                for one in reversed(of_agent.groups):
                     usual[one.own] = one.places[0]
 
     def close(self) -> None:
         self._sets.close()
 
-    def at_start(self) -> Reading:
+    def at_start(self) -> FrameReading:
         """Return what is known before the first frame: nothing."""
         n, n_agents = self.combinations.shape
-        return Reading(
+        return FrameReading(
             np.zeros(N_ACTIONS**n_agents),
             np.full((n_agents, 1, len(self._sets), N_ACTIONS), 1 / N_ACTIONS, np.float32),
-            np.zeros((n_agents, max(one.n for one in self._points)), np.int32),
-            np.zeros(self._n_tables),
+            np.zeros((n_agents, max(one.n for one in self._standpoints)), np.int32),
+            np.zeros(self._n_replicates),
             copy.copy(self._marginals),
             np.full(n, 1.0 / n),
             np.full((n_agents, N_ACTIONS), 1.0 / N_ACTIONS),
@@ -288,17 +288,17 @@ class GoalFilter:
             *(0.0, 0.0, 0),
         )
 
-    def read(self, frame: FloatArray) -> Reading:
+    def read(self, frame: FloatArray) -> FrameReading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen."""
         hidden = self._sets.hidden
         plans = self._sets.plans(self._choose_wanted())
-        policies, policy_of = policies_of(plans, self._conduct)
-        unseen = np.isnan(frame[: len(self._points)]).any(axis=1)
+        policies, policy_of = policies_of(plans, self._policy)
+        unseen = np.isnan(frame[: len(self._standpoints)]).any(axis=1)
         expected = self._expected(policies, policy_of) if unseen.any() else None
         log_density = hidden.advance(frame, self._sets.map, expected)
         highest = float(log_density.max())
         relative = np.exp(log_density - highest)
-        shift = np.zeros(self._n_tables)
+        shift = np.zeros(self._n_replicates)
         if self._is_followed:
             shift = self._follow(log_density, policies, policy_of)
         if self._marginals is not None:
@@ -313,7 +313,7 @@ class GoalFilter:
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
         searched = [len(root.actions) > 1 for each in plans for one in each for root in one.roots]
-        return Reading(
+        return FrameReading(
             log_density.ravel(),
             stacked(policies).astype(np.float32),  # searches are coarser than single precision
             stacked(policy_of).astype(np.int32),
@@ -338,7 +338,7 @@ class GoalFilter:
         order = np.argsort(-mass, kind="stable")
         before = np.cumsum(mass[order]) - mass[order]
         probable = order[before < SEARCHED_BY_ALL * mass.sum()]
-        wanted = [np.zeros(points.n, bool) for points in self._points]
+        wanted = [np.zeros(one.n, bool) for one in self._standpoints]
         for found, of_rows in zip(wanted, self._of_rows, strict=True):
             found[of_rows[probable]] = True
         return wanted
@@ -348,7 +348,7 @@ class GoalFilter:
     ) -> FloatArray:
         """Take in what a frame says of the goals that are followed; return the shift."""
         numbers = [of[rows] for of, rows in zip(policy_of, self._of_rows, strict=True)]
-        first, every = log_likelihoods(log_density, policies, numbers, self._n_tables)
+        first, every = log_likelihoods(log_density, policies, numbers, self._n_replicates)
         shift = shift_of(first, every, self._log_mass)
         so_far = np.where(np.isnan(every[0]), first + shift[0], every[0])
         self._log_mass += self._weight * so_far
@@ -357,13 +357,13 @@ class GoalFilter:
     def _expected(self, policies: list[FloatArray], policy_of: list[IntArray]) -> list[FloatArray]:
         """Return (agent) (action,) what is expected of each by what is believed of its goal."""
         found = []
-        for agent, (table, numbers) in enumerate(zip(policies, policy_of, strict=True)):
+        for agent, (of_agent, numbers) in enumerate(zip(policies, policy_of, strict=True)):
             if self._is_followed:
                 rows, log_mass = self._of_rows[agent], self._log_mass
             else:
                 assert self._marginals is not None, "one of the two tells of goals"
                 rows, log_mass = self._usual[agent], self._marginals[agent]
-            found.append(_mean_policy(np.nanmean(table, axis=1)[numbers[rows]], log_mass))
+            found.append(_mean_policy(np.nanmean(of_agent, axis=1)[numbers[rows]], log_mass))
         return found
 
     def _update_marginals(
@@ -371,10 +371,10 @@ class GoalFilter:
     ) -> None:
         assert self._marginals is not None
         of_goals, believed = [], []
-        for table, numbers, usual, log_mass in zip(
+        for of_agent, numbers, usual, log_mass in zip(
             policies, policy_of, self._usual, self._marginals, strict=True
         ):
-            mean = np.nanmean(table, axis=1)[numbers[usual]]
+            mean = np.nanmean(of_agent, axis=1)[numbers[usual]]
             of_goals.append(mean)
             believed.append(_mean_policy(mean, log_mass))
         for agent, mean in enumerate(of_goals):
@@ -439,6 +439,6 @@ def warm_up() -> None:
     scene = scene_in_reach()
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
     sets, followed = SearchSets(scene, planner, tracking), (np.array([[0, 1]]), np.zeros(1))
-    with contextlib.closing(GoalFilter(sets, Conduct(1.0, 1.0), 1.0, followed)) as goals:
+    with contextlib.closing(GoalFilter(sets, ActionPolicy(1.0, 1.0), 1.0, followed)) as goals:
         for _ in range(2):
             goals.read(scene.start)

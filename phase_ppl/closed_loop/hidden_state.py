@@ -30,7 +30,7 @@ from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.physics.flat import ANGLE, X, Y, to_state
 from phase_ppl.simulator.joint import Past
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import GOLDEN, FloatArray, IntArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     nonnegative_number,
@@ -111,7 +111,6 @@ _LEAST: Final = 20.0  # log weight below the best at which a state is dropped
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
 
-_GOLDEN: Final = (math.sqrt(5) - 1) / 2  # its multiples lie evenly between whole numbers
 
 _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken for the same, units/s
 
@@ -169,7 +168,7 @@ class Tracking:
 class Beam:
     """States that the world may be in."""
 
-    bodies: FloatArray  # (B, entity, 9), as in ``physics.compiled``, like those below
+    bodies: FloatArray  # (B, entity, 9), as in ``physics.flat``, like those below
     held: IntArray  # (B, agent)
     weld: FloatArray  # (B, agent, 3)
     combination: IntArray  # (B,) of strengths, as an index
@@ -183,7 +182,7 @@ class Expected(NamedTuple):
     """Strengths of all agents, and the most probable state given them."""
 
     strengths: tuple[float, ...]  # (agent,) newtons
-    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like those below
+    bodies: FloatArray  # (entity, 9), as in ``physics.flat``, like those below
     held: IntArray  # (agent,)
     weld: FloatArray  # (agent, 3)
 
@@ -224,10 +223,11 @@ class HiddenState:
         ]
         self._executed = np.array([executed(a, scene.turning) for a in range(N_ACTIONS)])
         self._all_executed = np.ix_(*[self._executed] * n_agents)
-        intended = np.zeros((N_ACTIONS,) * n_agents)
-        np.add.at(intended, self._all_executed, 1.0 / N_ACTIONS**n_agents)
+        # of joint actions that are executed, where all that are intended are alike
+        share = np.zeros((N_ACTIONS,) * n_agents)
+        np.add.at(share, self._all_executed, 1.0 / N_ACTIONS**n_agents)
         with np.errstate(divide="ignore"):
-            self._log_prior = np.log(intended.ravel())
+            self._log_share = np.log(share.ravel())
         self._noise = NoiseEstimate(tracking.noise, scene.start, n_agents)
         # (entity, [position, angle]) frames since each was seen, and whole turns that an angle may
         # have made meanwhile, rad
@@ -265,7 +265,7 @@ class HiddenState:
             tracking.tail,
         )
         self.log_peak = _log_peak(scatter, scale, tracking.angle_scale, observed, self._n_agents)
-        found = np.empty((len(beam), len(self._log_prior)))
+        found = np.empty((len(beam), len(self._log_share)))
         strengths = self.combinations[beam.combination]
         bounds = np.linspace(0, len(beam), len(self._spaces) + 1).astype(int)
 
@@ -285,7 +285,7 @@ class HiddenState:
         usual = filter_gains(tracking.scale, self._noise.now)
         noise = np.array([scale, scale, tracking.angle_scale]) ** 2
         gains = usual + (1.0 - usual) * spread**2 / (spread**2 + noise)
-        self._go_on(found + self._log_prior_of(observed, policies), observed, gains)
+        self._go_on(found + self._log_share_of(observed, policies), observed, gains)
         self._unseen = np.where(np.isnan(observed[:, [0, 2]]), self._unseen + 1, 0)
         return np.asarray(log_density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
 
@@ -317,13 +317,13 @@ class HiddenState:
             found[unseen] = np.sqrt(variance[unseen])
         return found
 
-    def _log_prior_of(
+    def _log_share_of(
         self, observed: FloatArray, policies: Sequence[FloatArray] | None
     ) -> FloatArray:
         """Return (joint action,) log probabilities of executed actions before the frame."""
         unseen = np.asarray(np.isnan(observed[: self._n_agents]).any(axis=1)).tolist()
         if policies is None or not any(unseen):
-            return self._log_prior
+            return self._log_share
         joint = np.ones(())
         for own, is_unseen in zip(policies, unseen, strict=True):
             intended = own if is_unseen else np.full(N_ACTIONS, 1.0 / N_ACTIONS)
@@ -430,7 +430,7 @@ class HiddenState:
         for combination, room in enumerate(rooms):
             rows = np.flatnonzero(of_combination == combination)
             mass = np.cumsum(np.exp(flat[rows]))
-            begin = (self._n_drawn * len(rooms) + combination) * _GOLDEN % 1.0
+            begin = (self._n_drawn * len(rooms) + combination) * GOLDEN % 1.0
             at = np.searchsorted(mass, mass[-1] * (begin + np.arange(room)) / room, "right")
             kept, times = np.unique(np.minimum(at, len(mass) - 1), return_counts=True)
             row, joint = np.divmod(kept, flat.shape[1])

@@ -119,16 +119,16 @@ _Seen = tuple[float | None, float | None, float | None]
 _Document = dict[str, Any]
 
 
-class _Own(msgspec.Struct, forbid_unknown_fields=True):
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
     """A record in the package's own format: unknown fields are refused, null means the default."""
 
 
-class _Arena(_Own):
+class _Arena(_Strict):
     x: _Point
     y: _Point
 
 
-class _Scene(_Own):
+class _Scene(_Strict):
     radius: _Document
     arena: _Arena | None = None
     walls: list[tuple[_Point, _Point]] | None = None
@@ -139,14 +139,14 @@ class _Scene(_Own):
     start: _Document | None = None
 
 
-class _Truth(_Own):
+class _Truth(_Strict):
     goals: _Document
     relation: str | None = None
     scenario: str | None = None
     strengths: _Document | None = None
 
 
-class _Event(_Own):
+class _Event(_Strict):
     id: Any
     scene: _Document
     trajectories: _Document
@@ -157,7 +157,7 @@ class _Event(_Own):
     predictions: _Document | None = None
 
 
-class _Events(_Own):
+class _Events(_Strict):
     format: str
     events: list[_Document]
 

@@ -175,7 +175,7 @@ def _counted(
 def goal_type(goal: str | int, world: World = PHASE) -> str:
     """Return which of :data:`GOAL_TYPES` a goal is; "other" for a user-defined predicate."""
     literal = goal_literal(goal, 0, world)
-    if literal.predicate.name == "OWN":
+    if literal.predicate.name == "USERS":
         return OTHER
     kind = "LMA" if literal.subject < len(world.agents) else "LMO"
     kind = "TE" if literal.predicate.name == "TOUCH" else kind

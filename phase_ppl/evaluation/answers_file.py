@@ -264,7 +264,8 @@ class _Reader:
         """
         if name == "rating":  # which the tidy table has of its own
             raise InvalidEventError(
-                "names the column rating: names={'rating': 'value'} reads it, None leaves it out"
+                "names the column rating, a reserved name: names={'rating': 'value'} reads it, "
+                "names={'rating': None} skips it"
             )
         allowed, plain = self._allowed(), _plain(name)
         asks = plain.startswith(("goal_", "relation"))

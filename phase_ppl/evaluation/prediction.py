@@ -52,7 +52,7 @@ def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return the questions of a world about relations -> the two agents of each."""
+    """Return a mapping from question about a relation to its two agents, for a world."""
     found = {
         name: (world.agents[one], world.agents[other])
         for name, (one, other) in space_of(world).relation_names.items()
@@ -61,7 +61,7 @@ def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
 
 
 def independent(goals: NDArray[Any], world: World) -> dict[str, NDArray[Any]]:
-    """Return question -> probabilities, from those (agent, goal) of agents that are independent."""
+    """Return question -> probabilities, from (agent, goal) ones of independent agents."""
     found = {f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)}
     for question, pair in pairs_of(world).items():
         one, other = map(world.agent, pair)

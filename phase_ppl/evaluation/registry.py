@@ -159,7 +159,7 @@ def available_models() -> list[str]:
 
 
 def model_info(name: str) -> ModelInfo:
-    """Return what is known of a model.
+    """Return a model's factory, summary, options and needs, by its name.
 
     Raises:
         UnknownNameError: there is no such model; the message names close matches.

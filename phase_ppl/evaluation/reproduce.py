@@ -267,10 +267,13 @@ def reproduce(
     """Repeat the paper's experiments, and compare the results with the paper's numbers.
 
     Args:
-        out: folder to keep everything in, see the module.
-        videos: file of real videos, as phase-test JSON or the authors' release. Without it, or with
-            the folder of a generated set, the run is a trial on a test split, and says so.
-        profile: "quick", "paper" or "full" (:func:`models_of`).
+        out: folder to keep everything in; ``reproduction.html`` in it shows all results.
+        videos: file of real videos: the authors' release, or JSON in the format "phase-test" of
+            :func:`phase_ppl.export_events`. Without it, or with the folder of a generated set, the
+            run is a trial on a test split, and says so.
+        profile: "quick": SIMPLE with few simulations and small searches; "paper": SIMPLE as
+            printed, as intended and as it is here; "full": also all lesions and models beyond the
+            paper.
         judgments: people's judgments, in place of those in the events.
         vlm_store: folder with the stored answers of a vision-language model.
         tags, likeness: CSV files of what people said in the paper's other two experiments.

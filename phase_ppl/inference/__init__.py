@@ -1,1 +1,12 @@
-"""Bottom-up proposals, kernels, their registry, and infer()."""
+"""Inference: the closed loop, and kernels that sample hypotheses.
+
+* ``infer``: the call, and ``resume``. ``settings``: of SIMPLE, budgets and presets.
+* ``stepwise``: the closed loop reads a video, frame by frame.
+* ``registry``: kernels by name. ``kernels``: one file each.
+* ``tables``, with ``strength``: what each window of the video says of goals and strengths.
+  ``guide``: the proposal from these.
+* ``run``: what determines the draws of a run. ``sampler``: simulates and iterates. ``checkpoint``:
+  its file. ``draws``: its particles as a tree.
+* ``table_run``: the same on what the closed loop has read. ``native``: NumPyro's own ``MCMC``.
+* ``compare``, with ``entries`` and ``reference``: kernels against a reference.
+"""

@@ -17,7 +17,7 @@ from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.roles import kept_prior, log_prior_of_effective
+from phase_ppl.models.world_priors import kept_prior, log_prior_of_effective
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.space import HypothesisSpace
@@ -137,8 +137,8 @@ def tree_of(
     ``iterations`` are those after which the particles were taken; None: unknown.
     """
     space = space_of_prior(model.prior)
-    own = [name for name in records[0].sites if name not in space.sites]
-    raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
+    users = [name for name in records[0].sites if name not in space.sites]
+    raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *users)}
     table = hypothesis_columns(raw, space)
     sites = list(table)
     errors = np.array([record.result.errors for record in records])
@@ -331,5 +331,5 @@ def _variable(
         attrs = {"flag_values": np.arange(space.n_goals), "flag_meanings": meanings}
     elif name in space.strength_sites:
         attrs = {"units": "N"}
-    own_dims = tuple(f"{name}_dim_{i}" for i in range(values.ndim - len(dims)))
-    return (*dims, *own_dims), values, attrs
+    more_dims = tuple(f"{name}_dim_{i}" for i in range(values.ndim - len(dims)))
+    return (*dims, *more_dims), values, attrs

@@ -52,7 +52,7 @@ def bottom_up_guide(
     tables: BottomUpTables,
     *,
     prior_share: float,
-) -> Mixture:
+) -> Guide:
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
     ``sites`` are the prior's latent sites with their shapes, in the order of sampling. The index
@@ -60,9 +60,9 @@ def bottom_up_guide(
     """
     local, whole = _local_program(prior, sites, tables), len(tables.goal_logits) - 1
     if prior_share == 0:
-        return Mixture((local,), (1.0,), sites, whole=whole)
+        return Guide((local,), (1.0,), sites, whole=whole)
     weights = 1 - prior_share, prior_share
-    return Mixture((local, lambda window: prior()), weights, sites, whole=whole)
+    return Guide((local, lambda window: prior()), weights, sites, whole=whole)
 
 
 def _local_program(
@@ -215,10 +215,11 @@ class Either(dist.Distribution):
         return jnp.where(self._condition, first, second)
 
 
-class Mixture:
-    """NumPyro program: a weighted mixture of programs over the same latent sites.
+class Guide:
+    """A proposal Q(h | window): a NumPyro program ``guide(window)`` with draws and densities.
 
-    Its density is the exact density of the mixture, over all components.
+    It is a weighted mixture of programs over the same latent sites, and its density is the exact
+    density of the mixture, over all components.
 
     Attributes:
         programs: the components.
@@ -253,7 +254,7 @@ class Mixture:
     def draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites; the argument is the window's number."""
         # what ``models.density.draw`` does, without the density
-        return self._drawn(random.split(key)[1], *args)
+        return self._drawn(random.split(key)[1], *map(jnp.asarray, args))
 
     def log_prob(self, sites: Sites, *args: Any) -> jax.Array:
         """Return the log density of a hypothesis, -inf outside the support."""

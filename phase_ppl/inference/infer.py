@@ -164,6 +164,8 @@ def infer(
             "infer(event, **phase_ppl.preset(...))"
         )
     of_sampling |= {"chains": chains, "settings": settings, **kernel_options}
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
     if kernel is None:
         for name, value in of_sampling.items():
             if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
@@ -172,14 +174,13 @@ def infer(
                     f'kernel="{KERNEL}", which is SIMPLE, or another; without one the closed loop '
                     "sums over all hypotheses"
                 )
-        from phase_ppl.inference.stepwise import filter_event
+        from phase_ppl.inference.stepwise import filtered_frames
 
-        model = _complete_model(model, planner, None).for_reading()
+        model = _complete_model(model, planner, None)
         event = check_event(event)
         _check_rate(event, model)
-        return filter_event(event, model, seed=seed, threads=workers, progress=progress)
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
+        found = filtered_frames(event, model, seed, workers, progress)
+        return StepwisePosterior(found, prior=model.prior)
     settings = SimpleSettings() if settings is None else settings
     check_settings(settings)
     of_run = kernel, kernel_options, settings, chains, seed

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.draws import PARTICLE_COLUMNS, particles_of, tree_of
-from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.registry import KERNELS
 from phase_ppl.inference.run import check_event
 from phase_ppl.inference.settings import SimpleSettings, check_settings
@@ -81,7 +81,7 @@ class OpenProgram(EventProgram):
         return self._bridge.records
 
     @functools.cached_property
-    def guide(self) -> Mixture:
+    def guide(self) -> Guide:
         """SIMPLE's bottom-up proposal ``guide(window)``, with ``draw``, ``log_prob``, ``whole``."""
         scene, observation = self.event.scene, self.event.observation
         tables = bottom_up_tables(scene, observation, self.settings)

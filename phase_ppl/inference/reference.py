@@ -37,7 +37,7 @@ from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
-from phase_ppl.models.roles import effective_goals, log_prior_of_effective
+from phase_ppl.models.world_priors import effective_goals, log_prior_of_effective
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (

@@ -67,7 +67,7 @@ class KernelInfo:
     # events of all lengths. The number of frames is ``program.observed``, known only at run time,
     # instead of ``program.n_frames``
     any_length: bool = False
-    # whether its proposal is fitted to the draws so far (``kernels/amis.py``)
+    # whether its proposal is fitted to the draws so far, an attribute of the class AMIS
     adapts: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
@@ -141,11 +141,10 @@ def register_kernel(
     keeps: Keeps = "all",
     weighted: bool = False,
     any_length: bool = False,
-    adapts: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
     """Return a decorator that registers a kernel class, or a factory, as ``name``.
 
-    Arguments are the attributes of :class:`KernelInfo`.
+    Arguments are attributes of :class:`KernelInfo`.
 
     Raises:
         InvalidSettingError: the name is taken by another factory, or a value is not allowed.
@@ -157,11 +156,12 @@ def register_kernel(
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
-    more = even_chains, keeps, weighted, any_length, adapts
+    more = even_chains, keeps, weighted, any_length
     return KERNELS.register(
         name,
         lambda factory, summary: KernelInfo(
-            name, factory, validity, sims_per_step, tuple(needs), summary, *more
+            *(name, factory, validity, sims_per_step, tuple(needs), summary, *more),
+            adapts=getattr(factory, "adapts", False),
         ),
     )
 

@@ -31,10 +31,10 @@ from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
 from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
-    Reading,
+    ReadingCost,
     bottom_up_tables,
     padded,
-    reading_of,
+    reading_cost,
     window_count,
 )
 from phase_ppl.models import priors
@@ -195,11 +195,11 @@ class Run:
         return Recipe(self.info, options, model, self.settings, n_frames)
 
     @property
-    def reading(self) -> Reading:
+    def reading_cost(self) -> ReadingCost:
         """Cost of reading the video before the first simulation, if proposals need that."""
         if self.settings.proposal != "closed_loop":
-            return Reading()
-        return reading_of(self.event.scene, self.event.observation)
+            return ReadingCost()
+        return reading_cost(self.event.scene, self.event.observation)
 
     def data(
         self,

@@ -44,7 +44,7 @@ from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record, Request, SimulatorBridge, request_key
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import is_stepped, on_cpu
-from phase_ppl.models.roles import drawn_stated
+from phase_ppl.models.world_priors import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import (
@@ -214,7 +214,7 @@ class Sampler:
             began = runs.clock()
             self._data = run.data(self._bridge.handle, options.progress, threads)
             # an earlier reading of the video counts like a new one
-            self._kept_seconds = max(0.0, run.reading.seconds - (runs.clock() - began))
+            self._kept_seconds = max(0.0, run.reading_cost.seconds - (runs.clock() - began))
             self._adaptation = run.adaptation(self._data)
             for iteration, particles in enumerate(self._particles):
                 self._adapt(iteration, particles)
@@ -551,7 +551,7 @@ class Sampler:
 
     def _cost(self, interrupted: bool) -> dict[str, Any]:
         """Return the cost of the run; seconds are wall time unless named otherwise."""
-        statistics, reading = self._runner.statistics, self._run.reading
+        statistics, reading = self._runner.statistics, self._run.reading_cost
         seconds = self._pace.seconds + self._kept_seconds
         wanted = statistics.frames + statistics.frames_saved
         return {

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
-from phase_ppl.analysis.stepwise_table import Prior, Table, table_of
+from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
-from phase_ppl.closed_loop.own_simulator import SimulatorFilter
+from phase_ppl.closed_loop.users_simulator import SimulatorFilter
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
+from phase_ppl.models.prior_masses import PriorMasses
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
 from phase_ppl.world.arrays import FloatArray, finite_array
@@ -109,34 +110,34 @@ class Watch:
         self._table: Table | None = None
         self._torn = False  # a frame was begun and not finished
         self._clock: Clock | None = None  # of frames with time stamps
-        self._own = self.model.simulator is not None
-        self._weight = likelihood.frame_weight(self._own)
+        self._users_simulator = self.model.simulator is not None
+        self._weight = likelihood.frame_weight(self._users_simulator)
         self._levels = likelihood.tracking.strengths
         prior = for_table(self.model.prior, scene, observation)
         kept, attrs = stepwise_prior(prior, scene.world, self._levels)
-        self._constant: dict[str, Any] = dict(kept)
+        self._constant: dict[str, Any] = dict(kept)  # what does not change from frame to frame
         self._attrs: dict[str, Any] = dict(attrs)
-        self._filter = self._own_filter() if self._own else self._joint_filter()
+        self._filter = self._simulator_filter() if self._users_simulator else self._goal_filter()
         self._keep(self._filter.at_start()._asdict())
 
-    def _prior(self, combinations: FloatArray) -> Prior:
-        self._constant["combinations"] = combinations
-        return Prior(space_of(self._scene.world), self._constant, combinations)
+    def _prior_masses(self, combinations: FloatArray) -> PriorMasses:
+        return PriorMasses(space_of(self._scene.world), self._constant, combinations)
 
-    def _joint_filter(self) -> GoalFilter:
+    def _goal_filter(self) -> GoalFilter:
         likelihood, of = self._likelihood, self._scene
         sets = SearchSets(
             *(of, self.model.planner_config(), likelihood.tracking, self._seed, self.threads),
             likelihood.planner_seeds,
         )
-        followed = self._prior(sets.hidden.combinations).followed()
+        self._constant["combinations"] = combinations = sets.hidden.combinations
+        followed = self._prior_masses(combinations).followed()
         log_goals = self._constant.get("log_prior_goals")
-        return GoalFilter(sets, likelihood.conduct, self._weight, followed, log_goals)
+        return GoalFilter(sets, likelihood.policy, self._weight, followed, log_goals)
 
-    def _own_filter(self) -> SimulatorFilter:
+    def _simulator_filter(self) -> SimulatorFilter:
         levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))
-        asked = self._prior(np.array(list(levels))).to_read()
-        self._constant["goals"] = asked.goals
+        asked = self._prior_masses(np.array(list(levels))).to_read()
+        self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
         found = SimulatorFilter(
             self.model.simulator,
             self._scene,
@@ -186,7 +187,7 @@ class Watch:
         name = f"frame {len(self._frames)}"
         pose = finite_array(name, frame, (len(self._scene.world.entities), 3), unseen=True)
         check_inside(pose[None], self._scene, name)
-        if self._own and has_density(self.model.simulator) and np.isnan(pose).any():
+        if self._users_simulator and has_density(self.model.simulator) and np.isnan(pose).any():
             raise InvalidEventError(
                 f"{name} does not show all bodies, and log_prob_next is a density of whole frames: "
                 f"a simulator with {NEXT_FRAMES} instead can be read with gaps"
@@ -250,7 +251,7 @@ class Watch:
         }
         cost = {
             "searches": self._counts["searches"],
-            **({"calls": self._counts["calls"]} if self._own else {}),
+            **({"calls": self._counts["calls"]} if self._users_simulator else {}),
             "frames": n,
             "seconds": time.perf_counter() - self._begun,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
@@ -300,31 +301,6 @@ class StepwiseInterrupted(KeyboardInterrupt):
         self.posterior = posterior
 
 
-def filter_event(
-    event: Event,
-    model: Model,
-    *,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: bool | None = None,
-) -> StepwisePosterior:
-    """Return the posterior over all hypotheses given the whole video.
-
-    Args:
-        event: what to explain; only scene, observation and id are read.
-        model: with a :class:`phase_ppl.StepwiseLikelihood`.
-        seed, threads: as of :class:`Watch`; by default one per usable core.
-        progress: whether to show a bar on stderr, with the time that is left; by default where
-            that is a terminal. Elsewhere one line says how long it will take, if that is more
-            than a minute; with False nothing does.
-    """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-    return StepwisePosterior(
-        filtered_frames(event, model, seed, threads, progress), prior=model.prior
-    )
-
-
 def filtered_frames(
     event: Event,
     model: Model,
@@ -332,7 +308,16 @@ def filtered_frames(
     threads: int | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """Return what the posterior of :func:`filter_event` is made of."""
+    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_file`).
+
+    Args:
+        event: what to explain; only scene, observation and id are read.
+        model: prior, and planner or simulator.
+        seed, threads: as of :class:`Watch`; by default one per usable core.
+        progress: whether to show a bar on stderr, with the time that is left; by default where
+            that is a terminal. Elsewhere one line says how long it will take, if that is more
+            than a minute; with False nothing does.
+    """
     scene, seen = event.scene, event.observation
     options: dict[str, Any] = {"seed": seed, "threads": threads, "event_id": event.id}
     with Watch(scene, model, observation=seen, **options) as watching:

@@ -46,7 +46,7 @@ from phase_ppl.models.effective import (
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import Lookup
-from phase_ppl.models.roles import log_prior_of_effective
+from phase_ppl.models.world_priors import log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation
@@ -308,7 +308,7 @@ class ReadTable:
         table = table_of(read.dataset.isel(time=slice(None, read.frame + 1)))
         weight = float(table.found.attrs["weight"])
         frames = np.array([table.of_frame(t)[0] for t in range(table.n_frames)])
-        likelihood = self._by_goals(frames, table)
+        likelihood = self._on_grid(frames, table)
         best = likelihood.max(axis=tuple(range(1, likelihood.ndim)))
         self._frames = weight * (best.reshape(-1, *[1] * (likelihood.ndim - 1)) - likelihood)
         self._edges = cells(np.array(table.levels))[1:-1]
@@ -319,20 +319,20 @@ class ReadTable:
         self._change: FloatArray | None = None
         if not table.is_exact:  # a user's own density is
             without = table.summed(table.n_frames - 1)[1:]
-            without = weight * (self._by_goals(without, table) - best.sum())
+            without = weight * (self._on_grid(without, table) - best.sum())
             with np.errstate(invalid="ignore"):  # -inf both with and without the set
                 self._change = np.nan_to_num(without + self._frames.sum(axis=0), neginf=-np.inf)
 
-    def _by_goals(self, values: FloatArray, table: Table) -> FloatArray:
-        """Return log likelihoods (..., goal, ..., level, ...) by agent, of (..., point, ...).
+    def _on_grid(self, values: FloatArray, table: Table) -> FloatArray:
+        """Return log likelihoods (..., goal, ..., level, ...) by agent, of (..., goals, ...).
 
         -inf of what was not asked; levels where strengths were read along with goals.
         """
         values = np.where(np.isnan(values), -np.inf, values)
-        if not table.own:
-            return table.by_goals(values)
+        if not table.users_simulator:
+            return table.on_grid(values)
         levels = (len(table.levels),) * table.space.n_agents
-        found = np.moveaxis(table.by_goals(np.moveaxis(values, -1, 1)), 1, -1)
+        found = np.moveaxis(table.on_grid(np.moveaxis(values, -1, 1)), 1, -1)
         return found.reshape(*found.shape[:-1], *levels)
 
     def lookup(self, n_frames: int) -> Lookup:

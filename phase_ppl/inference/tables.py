@@ -42,12 +42,13 @@ from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS, goal_literal
-from phase_ppl.world.names import AGENTS, Predicate
+from phase_ppl.world.names import AGENTS, PredicateKind
 from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_table import GoalRows, Table
+    from phase_ppl.analysis.stepwise_table import Table
+    from phase_ppl.models.prior_masses import GoalRows
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -175,11 +176,11 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
     for holder, goal in np.ndindex(distance.shape[1:]):
         literal = goal_literal(goal, holder, world)
         near = literal.positive
-        if literal.predicate is Predicate.OWN:
+        if literal.predicate is PredicateKind.USERS:
             own = world.predicates[literal.target]
             apart, near = own.apart(position, scene), own.brings_near is literal.positive
         else:
-            on = literal.predicate is Predicate.ON
+            on = literal.predicate is PredicateKind.ON
             target = scene.landmark_centres[literal.target] if on else position[:, literal.target]
             apart = np.linalg.norm(position[:, literal.subject] - target, axis=-1)
         distance[:, holder, goal] = apart if near else np.maximum(0.0, farthest - apart)
@@ -239,7 +240,7 @@ def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.log(np.maximum(np.bincount(way, masses, n), 1e-300)))
 
 
-class Reading(NamedTuple):
+class ReadingCost(NamedTuple):
     """The cost of reading a video before the first simulation."""
 
     seconds: float = 0.0  # of wall time
@@ -248,13 +249,13 @@ class Reading(NamedTuple):
 
 class _Read(NamedTuple):
     table: Table
-    cost: Reading
+    cost: ReadingCost
 
 
-def reading_of(scene: Scene, observation: Observation) -> Reading:
+def reading_cost(scene: Scene, observation: Observation) -> ReadingCost:
     """Return the cost of the closed loop's reading; zero before it is done."""
     found = _kept.get((scene, observation))
-    return Reading() if found is None else found.cost
+    return ReadingCost() if found is None else found.cost
 
 
 def _read(
@@ -274,7 +275,7 @@ def _read(
     cost = json.loads(found.attrs["cost"])
     while len(_kept) >= _EVENTS_KEPT:
         _kept.pop(next(iter(_kept)), None)
-    read = _Read(table_of(found), Reading(cost["seconds"], cost["searches"]))
+    read = _Read(table_of(found), ReadingCost(cost["seconds"], cost["searches"]))
     _kept[scene, observation] = read
     return read
 
@@ -337,7 +338,7 @@ def _goals() -> _Goals:
     rows = []
     for holder, goal in np.ndindex(len(AGENTS), N_GOALS):
         literal = goal_literal(goal, holder)
-        touch = literal.predicate is Predicate.TOUCH
+        touch = literal.predicate is PredicateKind.TOUCH
         about = "self" if literal.subject == holder else "other"
         about = "item" if literal.subject >= len(AGENTS) else about
         number = KINDS.index("touch" if touch else about) + (not literal.positive)

@@ -57,7 +57,7 @@ Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values 
 
 @dataclasses.dataclass(frozen=True)
 class BoundPrior:
-    """A NumPyro program, bound to what it asks for (:func:`phase_ppl.models.roles.bound`)."""
+    """A NumPyro program and what it asks for (:func:`phase_ppl.models.world_priors.bound`)."""
 
     given: Callable[..., Any]  # by the user: a program, or a ready-made prior of PHASE
     program: Callable[..., Any]  # that it stands for
@@ -95,9 +95,9 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
 
 
 def log_prior_of_hypotheses(prior: Program, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
-    """Return (n,) log densities of the hypothesis sites, each (n,), own sites summed out."""
+    """Return (n,) log densities of the hypothesis sites, each (n,), a user's sites summed out."""
     names, n = tuple(sites), len(next(iter(sites.values())))
-    above = _own_above(prior, names)
+    above = _users_above(prior, names)
     if not above or n == 0:
         return _of_rows(_density(prior, names), sites, _CHUNK)
     depends = upstream(prior)
@@ -147,7 +147,7 @@ def strengths_apart(prior: Program) -> bool:
     )
 
 
-def _own_above(prior: Program, names: tuple[str, ...]) -> tuple[str, ...]:
+def _users_above(prior: Program, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the other sites on which those named depend, be it by way of each other."""
     depends = upstream(prior)
     found: set[str] = set()
@@ -187,16 +187,16 @@ def _averaged(
     grid = np.meshgrid(*map(np.array, summed.values()), indexing="ij")
     options = {name: np.repeat(one, n_each) for name, one in zip(summed, grid, strict=True)}
 
-    def given(key: jax.Array, own: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
-        # own sites are drawn given the hypothesis sites before them and weighted by those after
+    def given(key: jax.Array, users: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
+        # a user's sites are drawn given those before them and weighted by those after
         # them, which averages to the marginal density wherever they stand in a hierarchy
-        trace = traced(prior, key, {**z, **own})
-        return trace_log_density({name: trace[name] for name in (*names, *own)})
+        trace = traced(prior, key, {**z, **users})
+        return trace_log_density({name: trace[name] for name in (*names, *users)})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
         keys = jax.random.split(jax.random.key(0), n_values * n_each)
-        own = {name: jnp.asarray(values) for name, values in options.items()}
-        return logsumexp(jax.vmap(given, in_axes=(0, 0, None))(keys, own, z)) - math.log(n_each)
+        users = {name: jnp.asarray(values) for name, values in options.items()}
+        return logsumexp(jax.vmap(given, in_axes=(0, 0, None))(keys, users, z)) - math.log(n_each)
 
     return Compiled(jax.vmap(marginal))
 
@@ -277,7 +277,7 @@ def place_of_level(strengths: Any, levels: FloatArray) -> Any:
 
 
 @remembered(_TABLES_KEPT)
-def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> FloatArray:
+def prior_table(prior: Program, levels: tuple[float, ...], users: Values = ()) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -285,7 +285,7 @@ def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> 
     continuous prior is integrated over them (:func:`nodes_of`): roughly, at ``_NODES`` strengths a
     cell, only where goals, alpha or further sites decide how strengths are distributed.
 
-    Dimensions are those of the sites of a hypothesis in its world, with ``own`` before the
+    Dimensions are those of the sites of a hypothesis in its world, with ``users`` before the
     strengths: further sites of the prior, with all the values that each can take. Levels of
     strength are in newtons, ascending.
     """
@@ -298,7 +298,7 @@ def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> 
         for name in space.strength_sites
     ]
     stated = {name: np.arange(n) for name, n in space.limits.items()}
-    stated |= {name: np.array(values) for name, values in own}
+    stated |= {name: np.array(values) for name, values in users}
     forces = {name: values for name, (values, _) in zip(space.strength_sites, nodes, strict=True)}
     if apart:  # a thousand times fewer densities
         densities = np.add.outer(_densities(prior, stated), _densities(prior, forces))
@@ -442,18 +442,18 @@ def drawn_beside(
     n_codes = len(given)
     if strengths_apart(prior):
         flat = log_prior.reshape(*log_prior.shape[:n_codes], -1)
-        log_own = np.logaddexp.reduce(flat, axis=-1)[places[:n_codes]]
+        log_kept = np.logaddexp.reduce(flat, axis=-1)[places[:n_codes]]
         log_volume: FloatArray | float = 0.0
     else:
         rng = np.random.default_rng(seed)
-        log_own, log_volume = log_prior[places], np.zeros(n)
+        log_kept, log_volume = log_prior[places], np.zeros(n)
         for name, place in zip(space.strength_sites, places[n_codes:], strict=True):
             given[name], log_width = _within(single_sites(prior)[name], levels, place, rng)
             log_volume = log_volume + log_width
     names = tuple(further_sites(prior))
     keys = jax.random.split(jax.random.key(seed), n)
     values, log_density = _beside(prior, tuple(given), names)(keys, given)
-    log_weight = np.asarray(log_density, np.float64) + log_volume - log_own
+    log_weight = np.asarray(log_density, np.float64) + log_volume - log_kept
     log_weight[np.asarray(log_density) <= NO_DENSITY] = -np.inf
     return {name: np.asarray(column) for name, column in values.items()}, log_weight
 

@@ -27,8 +27,8 @@ from phase_ppl.models.density import (
 )
 from phase_ppl.models.effective import BoundPrior, WorldPrior, as_given, space_of_prior
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import asked, bound, in_one_line, masses_of, refused
 from phase_ppl.models.sites import HYPOTHESIS_SITES
+from phase_ppl.models.world_priors import asked, bound, in_one_line, masses_of, refused
 from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.event import Observation
@@ -53,10 +53,10 @@ class Model:
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
             name of a ready-made one (:mod:`phase_ppl.models.priors`). For events of other worlds
-            than PHASE a program of one argument, the world (:mod:`phase_ppl.models.roles`). One
-            that looks at the video has arguments named ``scene``, ``observation`` or ``event``. It
-            uses the video twice, as the likelihood does too: it is an empirical prior, a cue, not
-            a generative one.
+            than PHASE a program of one argument, the world
+            (:mod:`phase_ppl.models.world_priors`). One that looks at the video has arguments named
+            ``scene``, ``observation`` or ``event``. It uses the video twice, as the likelihood
+            does too: it is an empirical prior, a cue, not a generative one.
         simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
             methods (:class:`phase_ppl.simulator.contract.Simulator`); None for the joint simulator
             of the paper (Algorithm 1).
@@ -218,16 +218,16 @@ class Model:
         likelihood, the planner's values and the kind of noise; and the result of the simulator's
         method ``settings()``, if it has one.
         """
-        own = self.simulator is not None
+        users_simulator = self.simulator is not None
         details = getattr(self.simulator, "settings", None)
         return {
             **({"simulator_settings": details()} if callable(details) else {}),
             "prior": qualified_name(as_given(self.prior)),
             "prior_source": source_hash(as_given(self.prior)),
-            "simulator": qualified_name(self.simulator) if own else "joint",
-            "simulator_source": source_hash(self.simulator) if own else None,
+            "simulator": qualified_name(self.simulator) if users_simulator else "joint",
+            "simulator_source": source_hash(self.simulator) if users_simulator else None,
             "likelihood": repr(self.likelihood),
-            "planner": None if own else self.planner_config().to_dict(),
+            "planner": None if users_simulator else self.planner_config().to_dict(),
             "noise": self.noise,
         }
 
@@ -271,7 +271,7 @@ RESERVED_SITES: Final = frozenset(
         *("log_joint", "step_log_likelihood", "sim_seed", "uniform"),
     )
 )
-"""Names that a prior's own sites cannot have."""
+"""Names that a prior's further sites cannot have."""
 
 _TRIES: Final = 32  # draws that are checked
 _REMEMBERED: Final = 64
@@ -284,10 +284,10 @@ _FAR: Final = 100  # distance from the allowed codes within which others are sea
 
 def for_table(prior: Any, place: World | Scene, observation: Observation | None = None) -> Program:
     """Return a model's prior as :func:`bound`, checked where it can be a table of all there."""
-    own = bound(prior, place, observation)
-    if isinstance(own, BoundPrior) and space_of(own.world).is_listed:
-        checked_sites(own, True)
-    return own
+    found = bound(prior, place, observation)
+    if isinstance(found, BoundPrior) and space_of(found.world).is_listed:
+        checked_sites(found, True)
+    return found
 
 
 @remembered(_REMEMBERED)

@@ -47,7 +47,7 @@ from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
-from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import NOTHING, STOP, Literal, PredicateKind
 from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import space_of
 
@@ -217,22 +217,22 @@ def operators(state: Moment, agent: int, layout: Layout) -> Iterator[tuple[Liter
         for following, length in enumerate(layout.step[here]):
             if math.isfinite(length):
                 there = _put(rooms, following, *movers), held, touch, _put(on, NOTHING, *movers)
-                yield Literal(Predicate.CLOSE, mover, following), length, Moment(*there)
+                yield Literal(PredicateKind.CLOSE, mover, following), length, Moment(*there)
         landmark = layout.landmark_in[here]
         if landmark not in (NOTHING, on[mover]):
             placed = state._replace(on=_put(on, landmark, mover))
-            yield Literal(Predicate.ON, mover, landmark), PLACE_COST, placed
+            yield Literal(PredicateKind.ON, mover, landmark), PLACE_COST, placed
     if item != NOTHING:
         free = state._replace(held=_put(held, NOTHING, agent), near=at(item))
-        yield Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, free
+        yield Literal(PredicateKind.ATTACH, agent, item, positive=False), GRIP_COST, free
         return
     for entity, touches in enumerate(near[agent]):
         if touches and entity >= len(held):
             gripped = state._replace(held=_put(held, entity, agent))
-            yield Literal(Predicate.ATTACH, agent, entity), GRIP_COST, gripped
+            yield Literal(PredicateKind.ATTACH, agent, entity), GRIP_COST, gripped
         elif not touches and entity != agent and rooms[entity] == here:
             yield (
-                Literal(Predicate.TOUCH, agent, entity),
+                Literal(PredicateKind.TOUCH, agent, entity),
                 TOUCH_COST,
                 state._replace(near=at(entity)),
             )
@@ -278,8 +278,8 @@ class CostToGo:
     def __init__(self, layout: Layout, agent: int, goal: Literal) -> None:
         self.agent, self.goal = agent, goal
         predicate, subject, target, positive = goal
-        touch, n_agents = predicate is Predicate.TOUCH, layout.n_agents
-        if predicate is Predicate.ON:
+        touch, n_agents = predicate is PredicateKind.TOUCH, layout.n_agents
+        if predicate is PredicateKind.ON:
             room = layout.landmark_rooms[target]
             layout = layout._replace(landmark_in=_put(layout.landmark_in, target, room))
         self.layout = layout
@@ -297,7 +297,7 @@ class CostToGo:
     def __call__(self, state: Moment) -> float:
         """Return the cost, units of path length; inf: there is no plan."""
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        way, start, touch = self.layout.way, state.rooms[agent], predicate is Predicate.TOUCH
+        way, start, touch = self.layout.way, state.rooms[agent], predicate is PredicateKind.TOUCH
         held, touched = state.held[agent], state.near[agent]
         free = 0.0 if held == NOTHING else GRIP_COST  # to have nothing in hand
         if touch:  # the room that the goal is about
@@ -369,11 +369,11 @@ def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Mom
     had, has = before.held[agent], after.held[agent]
     state = before
     if had not in (NOTHING, has):
-        yield state, Literal(Predicate.ATTACH, agent, had, positive=False)
+        yield state, Literal(PredicateKind.ATTACH, agent, had, positive=False)
         state = _touching(state, agent, had)._replace(held=_put(state.held, NOTHING, agent))
     mover = agent if state.held[agent] == NOTHING else state.held[agent]
     if after.rooms[mover] != before.rooms[mover]:
-        yield state, Literal(Predicate.CLOSE, mover, after.rooms[mover])
+        yield state, Literal(PredicateKind.CLOSE, mover, after.rooms[mover])
         state = state._replace(on=_put(state.on, NOTHING, mover))
         still = [was and yes for was, yes in zip(state.near[agent], after.near[agent], strict=True)]
         state = state._replace(near=_put(state.near, tuple(still), agent))
@@ -382,14 +382,14 @@ def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Mom
         for entity in range(len(state.rooms)):
             touches = after.near[agent][entity] or entity == has
             if touches and not state.near[agent][entity]:
-                yield state, Literal(Predicate.TOUCH, agent, entity)
+                yield state, Literal(PredicateKind.TOUCH, agent, entity)
                 state = _touching(state, agent, entity)
     if has not in (NOTHING, had):
-        yield state, Literal(Predicate.ATTACH, agent, has)
+        yield state, Literal(PredicateKind.ATTACH, agent, has)
         state = state._replace(held=after.held)
     mover = agent if has == NOTHING else has
     if after.on[mover] not in (NOTHING, state.on[mover]):
-        yield state, Literal(Predicate.ON, mover, after.on[mover])
+        yield state, Literal(PredicateKind.ON, mover, after.on[mover])
 
 
 def _touching(state: Moment, agent: int, entity: int) -> Moment:
@@ -401,9 +401,9 @@ class ForwardModel:
 
     def __init__(self, scene: Scene, settings: PredicateSettings | None = None) -> None:
         self.settings = settings or PredicateSettings()
-        for own in scene.world.predicates:
+        for one in scene.world.predicates:
             raise InvalidSettingError(
-                f"predicate inverse planning knows no user-defined predicates, such as {own.name!r}"
+                f"predicate inverse planning knows no user-defined predicates, such as {one.name!r}"
             )
         layout, self._world = Layout.of(scene), scene.world
         self._cost_to_go = {

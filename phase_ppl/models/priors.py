@@ -42,20 +42,6 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.registry import Registry
 
-__all__ = [
-    "available",
-    "correlated_strengths",
-    "named",
-    "no_social_goals",
-    "register_prior",
-    "relation_first",
-    "sparse_social",
-    "strength_levels",
-    "symmetric_alphas",
-    "uniform",
-]
-
-
 AnyProgram = TypeVar("AnyProgram", bound=Program)
 SPARSE_SOCIAL: Final = 0.1  # probability of a social goal; under ``uniform`` it is 2/3
 
@@ -256,7 +242,3 @@ def available() -> list[str]:
 def named(name: str) -> Program:
     """Return the prior of that name, ready-made or registered."""
     return PRIORS[name]
-
-
-def __dir__() -> list[str]:
-    return __all__

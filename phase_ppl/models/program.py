@@ -17,7 +17,7 @@ from phase_ppl.models.bridge import Request, called_back
 from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density, tracing
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
-from phase_ppl.models.uniform import IMPOSSIBLE, SEED_BITS, dimensions, in_steps, sites_at
+from phase_ppl.models.uniform import IMPOSSIBLE_POTENTIAL, SEED_BITS, dimensions, in_steps, sites_at
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene
@@ -135,7 +135,7 @@ class EventProgram:
             numpyro.deterministic(name, value)
         log_likelihood = self.log_likelihood(errors).sum()
         possible = jnp.isfinite(log_likelihood)
-        numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -IMPOSSIBLE))
+        numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -IMPOSSIBLE_POTENTIAL))
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""

@@ -16,9 +16,9 @@ import json
 from collections.abc import Callable
 from typing import Any, Final
 
-from phase_ppl.closed_loop.goal_filter import Conduct
+from phase_ppl.closed_loop.goal_filter import ActionPolicy
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.models import effective, roles
+from phase_ppl.models import effective, world_priors
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -55,13 +55,13 @@ class StepwiseLikelihood:
     A simulator of one's own (:class:`phase_ppl.simulator.contract.Simulator`) is read by its own
     density of the next frame, if it has one: then the posterior is exact. Otherwise by a kernel
     density of so many ``samples`` of the positions of all entities
-    (:mod:`phase_ppl.closed_loop.next_frame`), which is biased where kernels are wide or few are
+    (:mod:`phase_ppl.closed_loop.kernel_density`), which is biased where kernels are wide or few are
     near what was seen, and less the more samples. Planner and hidden state have no part in it: of
     ``tracking`` there are ``strengths``, ``scale``, which kernels have as standard deviation at
     least, and ``noise``, which adds to it, 0 if it is None.
 
     Attributes:
-        sharpness: exponent of the visits.
+        sharpness: exponent of the visits, the inverse temperature of a policy.
         lapse: probability, by frame, that an agent does anything whatever.
         weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
             simulator of one's own.
@@ -96,15 +96,15 @@ class StepwiseLikelihood:
         if not isinstance(self.tracking, Tracking):
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
 
-    def frame_weight(self, own: bool = False) -> float:
+    def frame_weight(self, users_simulator: bool = False) -> float:
         """Return what a frame counts, with a simulator of one's own or the joint one."""
-        usual = 1.0 if own else WEIGHT
+        usual = 1.0 if users_simulator else WEIGHT
         return usual if self.weight is None else float(self.weight)
 
     @property
-    def conduct(self) -> Conduct:
+    def policy(self) -> ActionPolicy:
         """How agents act on their plans."""
-        return Conduct(self.sharpness, self.lapse)
+        return ActionPolicy(self.sharpness, self.lapse)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""
@@ -124,10 +124,10 @@ def stepwise_prior(
         further = json.dumps(list(effective.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
     assert isinstance(prior, effective.WorldPrior), "hypotheses of PHASE are few enough"
-    masses = roles.masses_of(prior)
+    masses = world_priors.masses_of(prior)
     found = {
         "log_prior_goals": masses.goals,
         "log_prior_company": masses.company,
-        "log_prior_strengths": roles.log_strengths(masses, world, levels),
+        "log_prior_strengths": world_priors.log_strengths(masses, world, levels),
     }
     return found, {}

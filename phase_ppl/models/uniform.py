@@ -21,7 +21,7 @@ from phase_ppl.models.density import latent_sites, tracing
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError
 
-IMPOSSIBLE: Final = 1e8
+IMPOSSIBLE_POTENTIAL: Final = 1e8
 """Potential of points without mass. It is finite: NumPyro's SA never leaves a point with infinite
 potential."""
 

@@ -48,7 +48,7 @@ class Scatter(NamedTuple):
 class Trial(NamedTuple):
     """A copy of a state on which actions are tried, and the results."""
 
-    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like the two below
+    bodies: FloatArray  # (entity, 9), as in ``physics.flat``, like the two below
     held: IntArray  # (agent,)
     weld: FloatArray  # (agent, 3)
     frame: FloatArray  # (entity, 3) mean pose of the last step tried

@@ -18,7 +18,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
 from phase_ppl.world.event import Event, Thoughts
 from phase_ppl.world.goals import goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
+from phase_ppl.world.names import DOORS, STOP, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
 
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
@@ -112,19 +112,19 @@ def _sentence(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
     world, subgoal = event.scene.world, thoughts.subgoals[step][agent]
     words = f"the {world.agents[agent]} {doing(subgoal, agent, event.scene)}"
     knows, about = _knows(event, thoughts, agent, step), _about(event, agent)
-    if subgoal.predicate is Predicate.STOP:
+    if subgoal.predicate is PredicateKind.STOP:
         goal = _goal(event, agent)
         reached = is_true(goal, event.observation.trajectory[step], event.scene)
         reason = "it has what it wants" if reached else "it sees nothing to do"
         return f"{words}, as {reason}"
-    if subgoal.predicate is Predicate.ATTACH or not knows:
+    if subgoal.predicate is PredicateKind.ATTACH or not knows:
         return words
     if knows != "believes":
         return f"{words}, as it {knows} the {world.entities[about]}"
     rooms = event.scene.rooms.room_of(thoughts.particles[step, agent, :, about, :2])
     shares = np.bincount(rooms) / len(rooms)
     room = int(shares.argmax())
-    there = subgoal[:3] == (Predicate.CLOSE, agent, room)
+    there = subgoal[:3] == (PredicateKind.CLOSE, agent, room)
     where = "there" if there else f"in the {room_name(event.scene, room)}"
     return (
         f"{words}, as it does not see the {world.entities[about]} and believes it {where} "
@@ -142,7 +142,7 @@ def _goal(event: Event, agent: int) -> Literal:
 def _about(event: Event, agent: int) -> int:
     """Return the entity that an agent's goal is about: the one to hold or to get to."""
     goal = planned_as(_goal(event, agent), agent, event.scene)
-    return goal.target if goal.predicate is Predicate.TOUCH else goal.subject
+    return goal.target if goal.predicate is PredicateKind.TOUCH else goal.subject
 
 
 def _knows(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
@@ -182,15 +182,15 @@ def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
     world = scene.world
     predicate, subject, target, positive = subgoal
     own = subject == agent
-    if predicate is Predicate.STOP:
+    if predicate is PredicateKind.STOP:
         return "does nothing"
-    if predicate is Predicate.ATTACH:
+    if predicate is PredicateKind.ATTACH:
         return f"{'takes hold of' if positive else 'lets go of'} the {world.entities[target]}"
-    if predicate is Predicate.TOUCH and own:
+    if predicate is PredicateKind.TOUCH and own:
         return f"{'goes up to' if positive else 'gets away from'} the {world.entities[target]}"
-    if predicate is Predicate.ON:
+    if predicate is PredicateKind.ON:
         place = f"the {_ABBREVIATED.sub('landmark', world.landmark_names[target])}"
-    elif predicate is Predicate.TOUCH:
+    elif predicate is PredicateKind.TOUCH:
         if subject >= len(world.agents):  # the target is the one of two items that is moved
             subject, target = target, subject
         place = f"the {world.entities[target]}"

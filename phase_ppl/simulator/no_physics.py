@@ -23,7 +23,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import positive_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, State
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import NOTHING, Literal, Predicate
+from phase_ppl.world.names import NOTHING, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
 
 SPEED: Final = 10.0
@@ -101,13 +101,13 @@ class PathSimulator:
         """Return an agent's wish for a subgoal, given where it imagines the others."""
         predicate, subject, target, positive = subgoal
         held = int(state.held[agent])
-        if predicate is Predicate.STOP:
+        if predicate is PredicateKind.STOP:
             return Wish()
-        if predicate is Predicate.ATTACH and not positive:
+        if predicate is PredicateKind.ATTACH and not positive:
             return Wish(release=True)
         n, cog = len(imagined), model.params.cog
         places = np.array([body_origin(imagined, entity, cog) for entity in range(n)])
-        item = target if predicate is Predicate.ATTACH else subject
+        item = target if predicate is PredicateKind.ATTACH else subject
         if item >= len(state.held):
             if held != item:
                 bodies, holds, _ = compiled.from_state(state, model.scene.radius)
@@ -115,7 +115,7 @@ class PathSimulator:
                     return Wish(grab=item)
                 return Wish(self._up_to(agent, item, places, model))
             return Wish(self._along(state.pose[item, :2], _place(subgoal, places, model), model))
-        if predicate is Predicate.TOUCH and positive:
+        if predicate is PredicateKind.TOUCH and positive:
             return Wish(self._up_to(agent, target, places, model))
         if subject != agent:  # without physics, nobody can be pushed
             return Wish(self._up_to(agent, subject, places, model))
@@ -154,11 +154,11 @@ def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArra
     landmark that the subject reaches with the greatest lead.
     """
     layout, target = model.layout, subgoal.target
-    if subgoal.predicate is Predicate.CLOSE:
+    if subgoal.predicate is PredicateKind.CLOSE:
         n_rooms = len(layout.room_points)
         return layout.room_points[target] if target < n_rooms else layout.doors[target - n_rooms]
     landmarks, path_distance = model.scene.landmark_centres, model.scene.rooms.path_distance
-    if subgoal.predicate is Predicate.TOUCH:
+    if subgoal.predicate is PredicateKind.TOUCH:
         fugitive, pursuer = places[subgoal.subject], places[target]
         lead = [path_distance(pursuer, to) - path_distance(fugitive, to) for to in landmarks]
         return landmarks[int(np.argmax(lead))]

@@ -44,7 +44,7 @@ from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
-Request = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
+Job = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; or ends the run; or is run again."""
@@ -224,7 +224,7 @@ class Runner:
         if any(map(math.isnan, ceilings)):
             raise InvalidSettingError("an error ceiling is nan, expected a number or inf")
         asked = zip(hypotheses, map(int, seeds), map(float, ceilings), strict=True)
-        requests: list[Request] = list(asked)
+        requests: list[Job] = list(asked)
         with self._one_run:
             clock = time.perf_counter()
             try:
@@ -240,14 +240,14 @@ class Runner:
                 self.statistics.seconds_waiting += time.perf_counter() - clock
         return [done[request] for request in requests]
 
-    def _run_distinct(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+    def _run_distinct(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         if self._together:
             return self._run_together(requests)
         if self._pool is None:
             return self._run_here(requests)
         return self._run_in(self._pool, requests)
 
-    def _run_again(self, failed: Sequence[Request]) -> dict[Request, SimulationResult]:
+    def _run_again(self, failed: Sequence[Job]) -> dict[Job, SimulationResult]:
         """Return the results of failed requests with fresh seeds, under the requested seeds."""
         attempt = self.retries - self._attempts_left
         fresh = [(what, fresh_seed(seed, attempt), ceiling) for what, seed, ceiling in failed]
@@ -258,7 +258,7 @@ class Runner:
             for request, again in zip(failed, fresh, strict=True)
         }
 
-    def _run_here(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+    def _run_here(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         self._check_cancelled()
         more: dict[str, Any] = {"cancelled": self._stop.done, "stop": [self._stop]}
         return {
@@ -273,7 +273,7 @@ class Runner:
         over = self._cut and time.perf_counter() > self.patience
         return 0.0 if over else self.limit
 
-    def _run_together(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+    def _run_together(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         self._check_cancelled()
         results: list[SimulationResult] = []
         if requests:
@@ -294,8 +294,8 @@ class Runner:
         return dict(zip(requests, results, strict=True))
 
     def _run_in(
-        self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Request]
-    ) -> dict[Request, SimulationResult]:
+        self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Job]
+    ) -> dict[Job, SimulationResult]:
         dispatch = Dispatch(
             pool,
             Work.simulate,
@@ -317,7 +317,7 @@ class Runner:
             self.statistics.retries += dispatch.retries
 
     def _failed(
-        self, request: Request, reason: str, error: BaseException | None = None
+        self, request: Job, reason: str, error: BaseException | None = None
     ) -> SimulationResult:
         hypothesis, seed, _ = request
         return SimulationResult.failed(hypothesis, seed, self.n_frames, reason)

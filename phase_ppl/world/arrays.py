@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from phase_ppl.world.errors import InvalidEventError, number_or_nan, shown
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
+
+GOLDEN: Final = (math.sqrt(5) - 1) / 2  # its multiples lie evenly between 0 and 1, modulo 1
 
 
 def equal_rows(columns: Sequence[NDArray[Any]]) -> tuple[IntArray, IntArray]:

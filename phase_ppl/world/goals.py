@@ -16,7 +16,7 @@ from typing import Final
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import is_on, touches
-from phase_ppl.world.names import RED, Literal, Predicate
+from phase_ppl.world.names import RED, Literal, PredicateKind
 from phase_ppl.world.scene import PHASE, Scene, World
 
 __all__ = ["GOALS", "Literal", "goal_literal", "is_true", "possible_goals"]
@@ -46,20 +46,20 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
         UnknownNameError: the world has no such goal.
     """
     index = world.goal_index(goal)
-    words, own = world.goals[index], index - (len(world.goals) - 2 * len(world.predicates))
-    if own >= 0:  # each with its negation, at the end
-        moved = world.entity(world.predicates[own // 2].subject)
-        return Literal(Predicate.OWN, moved, own // 2, own % 2 == 0)
+    words, users = world.goals[index], index - (len(world.goals) - 2 * len(world.predicates))
+    if users >= 0:  # each with its negation, at the end
+        moved = world.entity(world.predicates[users // 2].subject)
+        return Literal(PredicateKind.USERS, moved, users // 2, users % 2 == 0)
     positive = " away from " not in words
     # "get ball to home", or "get to red agent" without a subject
     subject, target = words[len("get") :].split(" to " if positive else " away from ")
     if target in world.landmark_names:
         place = world.landmark_names.index(target)
-        return Literal(Predicate.ON, world.entity(subject.strip()), place, positive)
+        return Literal(PredicateKind.ON, world.entity(subject.strip()), place, positive)
     one, other = world.entity(subject.strip()) if subject else holder, world.entity(target)
     if holder == other:  # the holder takes part in it and is the subject
         one, other = other, one if subject else other
-    return Literal(Predicate.TOUCH, one, other, positive)
+    return Literal(PredicateKind.TOUCH, one, other, positive)
 
 
 def literal_goal(literal: Literal, holder: int | None = None, world: World = PHASE) -> int:
@@ -70,13 +70,13 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
     predicate, subject, target, positive = literal
     way = "to" if positive else "away from"
     words = ""
-    if predicate is Predicate.OWN:
+    if predicate is PredicateKind.USERS:
         words = world.words(literal)
-    elif predicate is Predicate.ON:
+    elif predicate is PredicateKind.ON:
         words = f"Get {world.entities[subject]} {way} {world.landmark_names[target]}"
-    elif predicate is Predicate.TOUCH and holder in (None, subject):
+    elif predicate is PredicateKind.TOUCH and holder in (None, subject):
         words = f"get {way} {world.entities[target]}"
-    elif predicate is Predicate.TOUCH:
+    elif predicate is PredicateKind.TOUCH:
         ends = [world.entities[subject], world.entities[target]]
         if target < len(world.agents):
             ends.sort()
@@ -89,9 +89,9 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
 def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
     """Whether a goal's literal is true at (entity, coord) poses x, y [units], angle [rad]."""
     subject, target = literal.subject, literal.target
-    if literal.predicate is Predicate.OWN:
+    if literal.predicate is PredicateKind.USERS:
         found = bool(scene.world.predicates[target].holds(poses, scene))
-    elif literal.predicate is Predicate.TOUCH:
+    elif literal.predicate is PredicateKind.TOUCH:
         found = touches(subject, target, poses, scene.radius, len(scene.world.agents))
     else:
         centre, half_width = scene.landmark_centres[target], scene.half_widths[target]
@@ -105,20 +105,20 @@ def planned_as(literal: Literal, holder: int, scene: Scene) -> Literal:
     If the holder is one of the two bodies, it is the subject. Else an item is the target, and
     is brought.
     """
-    if literal.predicate is not Predicate.OWN:
+    if literal.predicate is not PredicateKind.USERS:
         return literal
     world, subject = scene.world, literal.subject
-    own = world.predicates[literal.target]
-    positive = literal.positive is own.brings_near
-    if own.target is None:
-        return Literal(Predicate.CLOSE, subject, own.room_in(scene), positive)
-    if own.target in world.landmark_names:
-        place = world.landmark_names.index(own.target)
-        return Literal(Predicate.ON, subject, place, positive)
-    other = world.entity(own.target)
+    predicate = world.predicates[literal.target]
+    positive = literal.positive is predicate.brings_near
+    if predicate.target is None:
+        return Literal(PredicateKind.CLOSE, subject, predicate.room_in(scene), positive)
+    if predicate.target in world.landmark_names:
+        place = world.landmark_names.index(predicate.target)
+        return Literal(PredicateKind.ON, subject, place, positive)
+    other = world.entity(predicate.target)
     if holder == other or (holder != subject and subject >= len(world.agents)):
         subject, other = other, subject
-    return Literal(Predicate.TOUCH, subject, other, positive)
+    return Literal(PredicateKind.TOUCH, subject, other, positive)
 
 
 def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> bool:
@@ -129,7 +129,7 @@ def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> boo
     """
     literal = goal_literal(goal, holder, world)
     own = world.goals[world.goal_index(goal)].startswith("get ")
-    return literal.predicate is Predicate.TOUCH and (
+    return literal.predicate is PredicateKind.TOUCH and (
         literal.subject == literal.target if own else literal.subject == holder
     )
 
@@ -155,17 +155,17 @@ def neighbouring_goals(goal: str | int, world: World = PHASE) -> tuple[int, ...]
     return tuple(other for other in range(len(world.goals)) if differences(other) == 1)
 
 
-def _parts(index: int, world: World) -> tuple[int, tuple[Predicate, int | None], bool]:
+def _parts(index: int, world: World) -> tuple[int, tuple[PredicateKind, int | None], bool]:
     """Return a goal's entity, its place, and whether the entity shall get there.
 
     A place is a landmark or another entity; None: the goal's holder.
     """
     literal = goal_literal(index, RED, world)
-    if literal.predicate is not Predicate.TOUCH:
+    if literal.predicate is not PredicateKind.TOUCH:
         return literal.subject, (literal.predicate, literal.target), literal.positive
     if world.goals[index].startswith("get "):
-        return literal.target, (Predicate.TOUCH, None), literal.positive
-    return literal.subject, (Predicate.TOUCH, literal.target), literal.positive
+        return literal.target, (PredicateKind.TOUCH, None), literal.positive
+    return literal.subject, (PredicateKind.TOUCH, literal.target), literal.positive
 
 
 def shared_goal(
@@ -177,14 +177,14 @@ def shared_goal(
     """
     helper = 1 - owner if helper is None else helper
     literal = goal_literal(goal, owner, world)
-    if literal.predicate is not Predicate.TOUCH:
+    if literal.predicate is not PredicateKind.TOUCH:
         return goal_index(goal, world)
     return literal_goal(shared_literal(literal, helper), helper, world)
 
 
 def shared_literal(literal: Literal, helper: int) -> Literal:
     """Return the literal of an owner's goal as a helper has it."""
-    if literal.predicate is not Predicate.TOUCH:
+    if literal.predicate is not PredicateKind.TOUCH:
         return literal
     if literal.target == helper:
         return literal._replace(subject=helper, target=literal.subject)

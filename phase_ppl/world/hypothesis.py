@@ -158,6 +158,12 @@ def all_ways(n_agents: int) -> tuple[Towards, ...]:
     )
 
 
+def _argument_names(world: World) -> tuple[str, ...]:
+    """Return the arguments of ``Hypothesis``; none in a world where only ``Hypothesis.of`` does."""
+    names = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
+    return names if world == PHASE else ()
+
+
 @dataclasses.dataclass(frozen=True, repr=False, init=False)
 class Hypothesis(Printed):
     """Who wants what, whom each helps or hinders, and how strong all are.
@@ -374,8 +380,8 @@ class Hypothesis(Printed):
             raise AttributeError(name)
         if name in ("alpha", "relation", "scenario"):
             raise AttributeError(
-                f"{name} is of two agents, of which {self.world.name!r} has others: ask for "
-                "relation_between, scenario_between or stances"
+                f"{name} needs a world of exactly two agents; {self.world.name!r} has "
+                f"{len(self.world.agents)}: use relation_between, scenario_between or stances"
             )
         what, _, key = name.partition("_")
         if what not in ("goal", "strength"):
@@ -393,14 +399,10 @@ class Hypothesis(Printed):
     @property
     def _arguments(self) -> dict[str, Any] | None:
         """What makes the same hypothesis of PHASE; None in a world where only :meth:`of` does."""
-        if self.world != PHASE:
+        if not (names := _argument_names(self.world)):
             return None
-        goals, keys = self.world.goals, self.world.keys
-        return {
-            **{f"goal_{key}": goals[getattr(self, f"goal_{key}")] for key in keys},
-            "alpha": list(self.alpha),
-            **{f"strength_{k}": one for k, one in zip(keys, self.strengths, strict=True)},
-        }
+        goals = [self.world.goals[getattr(self, name)] for name in names[:2]]
+        return dict(zip(names, [*goals, list(self.alpha), *self.strengths], strict=True))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads: names, strengths in newtons."""
@@ -422,12 +424,10 @@ class Hypothesis(Printed):
             UnknownNameError: a field that a hypothesis does not have.
             InvalidSettingError: a goal is missing; and as of :meth:`of`.
         """
-        in_phase = world == PHASE
-        names = ["goal_red", "goal_green", "alpha", "strength_red", "strength_green"]
+        names = _argument_names(world)
         for name in record:
-            known = names if in_phase else ["goals", "relation", "strengths"]
-            check_name("field of a hypothesis", name, known)
-        if in_phase:
+            check_name("field of a hypothesis", name, names or ("goals", "relation", "strengths"))
+        if names:
             if missing := [name for name in names[:2] if name not in record]:
                 raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
             return cls(**record)
@@ -436,7 +436,8 @@ class Hypothesis(Printed):
         told = record.get("relation", [])
         if not isinstance(told, list) or not all(isinstance(r, list) and len(r) == 3 for r in told):
             raise InvalidSettingError(
-                f"relation {shown(told)}, expected a list of [who, whom, word]"
+                f"relation {shown(told)}, expected one list per pair: "
+                '[agent, agent, "help" or "hinder"]'
             )
         pairs = {(who, whom): word for who, whom, word in told}
         return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))

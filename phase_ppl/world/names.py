@@ -22,7 +22,7 @@ DOORS: Final = ("upper door", "left door", "lower door", "right door")
 """The doors, named by the ray of the wall that they are in."""
 
 
-class Predicate(enum.IntEnum):
+class PredicateKind(enum.IntEnum):
     """The paper's predicates, and STOP: nothing is left to do.
 
     Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
@@ -38,18 +38,18 @@ class Predicate(enum.IntEnum):
     """CLOSE(agent | item, place): it is in a room or in a door. The target numbers the rooms first,
     then the doors."""
     STOP = 4
-    OWN = 5
-    """OWN(entity, number), in literals of goals only: a predicate that the user defined."""
+    USERS = 5
+    """USERS(entity, number), in literals of goals only: a predicate that the user defined."""
 
 
 class Literal(NamedTuple):
     """A predicate or its negation over the entity ``subject``; ``World.words`` has it in names.
 
     The predicate decides what ``target`` numbers: entities, landmarks, places or user-defined
-    predicates. In goals ``predicate.name`` is "ON", "TOUCH" or "OWN".
+    predicates. In goals ``predicate.name`` is "ON", "TOUCH" or "USERS".
     """
 
-    predicate: Predicate
+    predicate: PredicateKind
     subject: int
     target: int
     positive: bool = True
@@ -59,12 +59,12 @@ class Literal(NamedTuple):
 
     def says(self, other: Literal) -> bool:
         """Whether it is equivalent to ``other``: TOUCH is symmetric."""
-        if self.predicate is not Predicate.TOUCH:
+        if self.predicate is not PredicateKind.TOUCH:
             return self == other
         return self == other or other == self._replace(subject=self.target, target=self.subject)
 
 
-STOP = Literal(Predicate.STOP, 0, 0)
+STOP = Literal(PredicateKind.STOP, 0, 0)
 
 
 # --- goals in words -------------------------------------------------------------------------------

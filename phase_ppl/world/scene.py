@@ -31,10 +31,10 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.geometry import deepest_overlap
-from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate, goals_of, plain_goal
+from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, PredicateKind, goals_of, plain_goal
 from phase_ppl.world.picture import LANDMARK_COLOURS, Colour, colours_of, drawn
 from phase_ppl.world.placing import MIN_RADIUS, TRIES, arrangements
-from phase_ppl.world.predicates import Predicate as OwnPredicate
+from phase_ppl.world.predicates import Predicate
 from phase_ppl.world.rooms import Rooms, in_words
 
 Turning = Literal["both", "ccw", "cw"]
@@ -103,7 +103,7 @@ class World:
     name: str = "a world of one's own"
     touchable: Sequence[str] | None = None
     quadrants: bool = False
-    predicates: Sequence[OwnPredicate] = ()
+    predicates: Sequence[Predicate] = ()
 
     def __post_init__(self) -> None:
         set_field = functools.partial(object.__setattr__, self)
@@ -151,14 +151,14 @@ class World:
         walls = finite_array("walls", self.walls, (None, 2, 2))
         set_field("walls", tuple(tuple(map(tuple, wall)) for wall in walls.tolist()))
         Rooms.from_walls(walls, arena, self.quadrants)
-        set_field("predicates", self._own_predicates())
+        set_field("predicates", self._users_predicates())
 
-    def _own_predicates(self) -> tuple[OwnPredicate, ...]:
+    def _users_predicates(self) -> tuple[Predicate, ...]:
         """Return the predicates, checked."""
         expected = "a list of ppl.Predicate"
         instance_of("predicates", self.predicates, (list, tuple), expected)
         for one in self.predicates:
-            instance_of("predicates", one, OwnPredicate, expected)
+            instance_of("predicates", one, Predicate, expected)
         _names("predicates", [one.name for one in self.predicates], 0, MOST_PREDICATES)
         taken = {
             plain_goal(goal)
@@ -239,10 +239,10 @@ class World:
         predicate and its negation. "Another agent" with an item takes two agents, with an agent
         three.
         """
-        own = ((one.name, f"not {one.name}") for one in self.predicates)
+        users = ((one.name, f"not {one.name}") for one in self.predicates)
         return (
             *goals_of(self.agents, self.items, self.landmark_names, self.touchable or ()),
-            *itertools.chain(*own),
+            *itertools.chain(*users),
         )
 
     @functools.cached_property
@@ -274,13 +274,13 @@ class World:
     def words(self, literal: Any) -> str:
         """Return a literal in names, such as "not ON(ball, home)"."""
         predicate, subject, target, positive = literal
-        if predicate is Predicate.STOP:
+        if predicate is PredicateKind.STOP:
             return "STOP"
-        if predicate is Predicate.OWN:
+        if predicate is PredicateKind.USERS:
             return f"{'' if positive else 'not '}{self.predicates[target].name}"
-        if predicate is Predicate.ON:
+        if predicate is PredicateKind.ON:
             name = self.landmark_names[target]
-        elif predicate is Predicate.CLOSE:
+        elif predicate is PredicateKind.CLOSE:
             rooms = len(Rooms.from_walls(self.walls, self.arena, self.quadrants))
             name = f"room {target}" if target < rooms else f"door {target - rooms}"
         else:
@@ -368,7 +368,6 @@ class World:
         """Return the plain form, which :meth:`from_dict` reads."""
         x0, x1, y0, y1 = self.arena
         colours = [*self.colours, *((one.name, one.colour) for one in self.landmarks)]
-        own = self.predicates
         return {
             "name": self.name,
             "agents": list(self.agents),
@@ -379,7 +378,11 @@ class World:
             "colours": {name: list(colour) for name, colour in colours},
             "touchable": list(self.touchable or ()),
             "quadrants": self.quadrants,
-            **({"predicates": [one.to_dict() for one in own]} if own else {}),
+            **(
+                {"predicates": [one.to_dict() for one in self.predicates]}
+                if self.predicates
+                else {}
+            ),
         }
 
     @classmethod
@@ -391,9 +394,9 @@ class World:
             InvalidSettingError: a field is missing, or the world is impossible.
         """
         check_fields(record, cls, "a world", ("agents", "items", "landmarks"))
-        own = record.get("predicates", [])
-        instance_of("predicates", own, list, "a list")
-        return cls(**{**record, "predicates": [OwnPredicate.from_dict(one) for one in own]})
+        users = record.get("predicates", [])
+        instance_of("predicates", users, list, "a list")
+        return cls(**{**record, "predicates": [Predicate.from_dict(one) for one in users]})
 
     def __repr__(self) -> str:
         return (

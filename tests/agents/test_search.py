@@ -15,7 +15,7 @@ from phase_ppl.agents.pomcp import below, make_rng, uniform
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.names import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import (
     FULL_WALL_UP,
@@ -31,7 +31,7 @@ from tests.agents.scenes import (
 CONFIG = PlannerConfig(simulations=400, full_observation=True)
 GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to green lm"))
 ABOVE = scene(red=(23.5, 14.0, math.pi))  # the red agent heads for the red landmark
-TO_LANDMARK, TOUCH = Literal(Predicate.ON, 0, 2), Literal(Predicate.TOUCH, 0, 2)
+TO_LANDMARK, TOUCH = Literal(PredicateKind.ON, 0, 2), Literal(PredicateKind.TOUCH, 0, 2)
 
 
 def search(
@@ -50,7 +50,7 @@ def search(
         (ABOVE, TO_LANDMARK, Action.UP),
         (scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)), TO_LANDMARK,
          Action.TURN_RIGHT),
-        (scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)), Literal(Predicate.ATTACH, 0, 2),
+        (scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)), Literal(PredicateKind.ATTACH, 0, 2),
          Action.ATTACH),
     ],
     ids=["drives straight ahead", "turns to what is behind it", "grabs what is in reach"],
@@ -61,7 +61,7 @@ def test_an_agent_does_what_leads_to_its_goal(where: Scene, subgoal: Literal, be
 
 def test_an_action_is_worth_the_mean_of_its_discounted_rewards() -> None:
     walls = [FULL_WALL_UP, HALF_WALL_LEFT, NARROW_WALL_DOWN, HALF_WALL_RIGHT]
-    opposite = Literal(Predicate.CLOSE, 0, 2)  # to be in a room as far as can be: -1 a step
+    opposite = Literal(PredicateKind.CLOSE, 0, 2)  # to be in a room as far as can be: -1 a step
     ten = dataclasses.replace(CONFIG, simulations=10, early_stop=False)
     found = search(scene(walls=walls), opposite, ten)
     np.testing.assert_array_equal(found.visits, [2] * 5)  # a step in the tree, then two
@@ -77,7 +77,7 @@ def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool)
     )
     for seed in range(6):
         where = scene(red=(12.0, 9.0, float(seed)), blue=(14.0, 6.0))
-        for subgoal in (TOUCH, Literal(Predicate.ON, 2, 2)):
+        for subgoal in (TOUCH, Literal(PredicateKind.ON, 2, 2)):
             one, other = (search(where, subgoal, config, seed) for config in (whole, early))
             assert one.best == other.best
             assert other.visits.sum() <= one.visits.sum() == CONFIG.simulations
@@ -103,7 +103,7 @@ def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
 
 @pytest.mark.parametrize(
     ("subgoal", "action"),
-    [(STOP, Action.STOP), (Literal(Predicate.ATTACH, 0, 2, positive=False), Action.DETACH)],
+    [(STOP, Action.STOP), (Literal(PredicateKind.ATTACH, 0, 2, positive=False), Action.DETACH)],
 )
 def test_stop_and_letting_go_need_no_search(subgoal: Literal, action: Action) -> None:
     found = search(scene(), subgoal)
@@ -122,15 +122,15 @@ def test_the_same_seed_gives_the_same_decision() -> None:
     ("subgoal", "held", "contested", "number"),
     [
         (TOUCH, -1, False, 5),
-        (Literal(Predicate.CLOSE, 0, 1), -1, False, 5),
-        (Literal(Predicate.ON, 0, 1), -1, False, 5),
-        (Literal(Predicate.ON, 2, 1), -1, False, 13),
-        (Literal(Predicate.ATTACH, 0, 2), -1, False, 13),
-        (Literal(Predicate.ON, 1, 1, positive=False), -1, False, 12),
-        (Literal(Predicate.CLOSE, 2, 1), 2, False, 12),
+        (Literal(PredicateKind.CLOSE, 0, 1), -1, False, 5),
+        (Literal(PredicateKind.ON, 0, 1), -1, False, 5),
+        (Literal(PredicateKind.ON, 2, 1), -1, False, 13),
+        (Literal(PredicateKind.ATTACH, 0, 2), -1, False, 13),
+        (Literal(PredicateKind.ON, 1, 1, positive=False), -1, False, 12),
+        (Literal(PredicateKind.CLOSE, 2, 1), 2, False, 12),
         # one that is kept from its landmark also moves sideways
-        (Literal(Predicate.ON, 0, 1), -1, True, 12),
-        (Literal(Predicate.CLOSE, 0, 1), -1, True, 5),
+        (Literal(PredicateKind.ON, 0, 1), -1, True, 12),
+        (Literal(PredicateKind.CLOSE, 0, 1), -1, True, 5),
     ],
 )
 def test_navigation_uses_five_actions_and_carrying_more(
@@ -170,11 +170,9 @@ def test_impossible_settings_are_refused(setting: str, value: float) -> None:
         PlannerConfig(**{setting: value})  # type: ignore[arg-type]
 
 
-def test_settings_of_an_older_version_are_read_where_they_mean_the_same() -> None:
+def test_settings_are_read_as_they_were_written() -> None:
     config = PlannerConfig(simulations=7, paired=True)
-    assert PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": False}) == config
-    with pytest.raises(InvalidSettingError, match="tree_reuse=True: that setting was removed"):
-        PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": True})
+    assert PlannerConfig.from_dict(config.to_dict()) == config
     with pytest.raises(UnknownNameError, match="did you mean 'paired'"):
         PlannerConfig.from_dict({**config.to_dict(), "pairs": True})
     with pytest.raises(UnknownNameError, match="'fast'"):

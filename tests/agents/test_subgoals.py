@@ -19,7 +19,7 @@ from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState, Target, plan, plans_of, start_node
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import goal_index, goal_literal, possible_goals
-from phase_ppl.world.names import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, PredicateKind
 from phase_ppl.world.rooms import N_ROOMS
 from tests.agents.scenes import (
     FULL_WALL_UP,
@@ -77,16 +77,16 @@ def state(rooms: tuple[int, ...] = (TL, BR, TL, TR), **changes: Any) -> Symbolic
     return facts._replace(**changes)
 
 
-on = functools.partial(Literal, Predicate.ON)
-off = functools.partial(Literal, Predicate.ON, positive=False)
-touch = functools.partial(Literal, Predicate.TOUCH)
-attach = functools.partial(Literal, Predicate.ATTACH)
-let_go = functools.partial(Literal, Predicate.ATTACH, positive=False)
-close = functools.partial(Literal, Predicate.CLOSE)
+on = functools.partial(Literal, PredicateKind.ON)
+off = functools.partial(Literal, PredicateKind.ON, positive=False)
+touch = functools.partial(Literal, PredicateKind.TOUCH)
+attach = functools.partial(Literal, PredicateKind.ATTACH)
+let_go = functools.partial(Literal, PredicateKind.ATTACH, positive=False)
+close = functools.partial(Literal, PredicateKind.CLOSE)
 
 
 def door(entity: int, ray: int) -> Literal:
-    return Literal(Predicate.CLOSE, entity, N_ROOMS + ray)
+    return Literal(PredicateKind.CLOSE, entity, N_ROOMS + ray)
 
 
 def holding(rooms: tuple[int, ...], item: int = BLUE, **more: Any) -> SymbolicState:

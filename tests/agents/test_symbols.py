@@ -13,7 +13,7 @@ from phase_ppl.agents.agent import best_subgoal
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.goals import goal_index, goal_literal
-from phase_ppl.world.names import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import (
     FULL_WALL_UP,
@@ -131,7 +131,7 @@ def test_an_agent_counts_the_way_that_its_settings_say() -> None:
 class TestValue:
     """V(h) = share of the particles - lambda x their mean cost."""
 
-    NEAR, FAR = Literal(Predicate.CLOSE, RED, 1), Literal(Predicate.CLOSE, RED, 3)
+    NEAR, FAR = Literal(PredicateKind.CLOSE, RED, 1), Literal(PredicateKind.CLOSE, RED, 3)
     AGREEING: ClassVar = {NEAR: [0, 1, 2, 3], FAR: [4, 5, 6, 7, 8, 9]}
     COSTS = np.array([1.0] * 4 + [20.0] * 6)
     CONFIG = PlannerConfig(particles=10)
@@ -150,7 +150,7 @@ class TestValue:
         assert self.best(self.AGREEING, cost_weight=0.0106) == self.NEAR
 
     def test_touching_wins_over_it_where_that_is_set(self) -> None:
-        touching = [Literal(Predicate.TOUCH, RED, target) for target in (GREEN, PINK, BLUE)]
+        touching = [Literal(PredicateKind.TOUCH, RED, target) for target in (GREEN, PINK, BLUE)]
         agreeing = {
             self.NEAR: [0, 1, 2, 3, 4, 5, 6],
             **{t: [7 + i] for i, t in enumerate(touching)},
@@ -158,7 +158,7 @@ class TestValue:
         assert self.best(agreeing) == self.NEAR
         for preferred in (BLUE, PINK, GREEN):
             found = self.best(agreeing, touch_override=True)
-            assert found == Literal(Predicate.TOUCH, RED, preferred)
+            assert found == Literal(PredicateKind.TOUCH, RED, preferred)
             del agreeing[found]
         assert self.best(agreeing, touch_override=True) == self.NEAR
 

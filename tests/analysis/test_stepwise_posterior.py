@@ -20,7 +20,8 @@ from matplotlib import rc_context
 import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.models.roles import bound, masses
+from phase_ppl.models import prior_masses
+from phase_ppl.models.world_priors import bound, masses
 from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError
@@ -180,7 +181,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     of_strengths = StepwisePosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
     assert tempering in str(of_strengths)
-    counted = "every frame counted in full; as evidence for strengths a frame counts 0.05"
+    counted = "nats (frames in full; tempered 0.05 for strengths)"
     assert counted in " ".join(str(of_strengths).split())
     for told in (of_strengths.why("relation=friendly"), of_strengths.over_time()):
         assert told.attrs["tempering"] == tempering
@@ -350,7 +351,7 @@ def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch
     owners = ([own for own, one in zip(n, way, strict=True) if one is None] for way in all_ways(3))
     n_hypotheses = table.prior.n_hypotheses
     assert n_hypotheses == sum(map(math.prod, owners))
-    monkeypatch.setattr(stepwise_table, "MOST_HYPOTHESES", n_hypotheses // 2)
+    monkeypatch.setattr(prior_masses, "MOST_HYPOTHESES", n_hypotheses // 2)
     monkeypatch.setattr(stepwise_table, "MOST_ROWS", n_hypotheses)  # strengths are drawn too
     drawn = StepwisePosterior(post.dataset)
     assert drawn._table.sampled

@@ -406,7 +406,7 @@ def test_draws_under_another_prior_are_weighted_by_it(tmp_path: Path) -> None:
     assert again.settings["reweighted"]["from"] == "the.uniform"  # the run's, not the last one
 
 
-def test_own_sites_are_weighted_with_the_rest() -> None:
+def test_users_sites_are_weighted_with_the_rest() -> None:
     def friendlier(low: float) -> None:
         mood = numpyro.sample("mood", dist.Uniform(low, 1.0))
         shares = jnp.stack([0.2, *[0.4 * mood] * 2, *[0.4 * (1 - mood)] * 2])

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from phase_ppl.agents.agent import RootStatistics
 from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
-    Conduct,
+    ActionPolicy,
     Plans,
     policies_of,
 )
 from phase_ppl.physics.actions import N_ACTIONS, Action
 
-CONDUCT = Conduct(sharpness=2.0, lapse=0.3)
+POLICY = ActionPolicy(sharpness=2.0, lapse=0.3)
 STANDPOINTS = 5
 OTHER = 3
 """The one standpoint of both agents from which they do something else than from the others."""
@@ -41,7 +41,7 @@ def read(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return log likelihoods of both agents with the same standpoint: of the first set, of all."""
     n = len(sets)
-    policies, policy_of = policies_of(sets, CONDUCT)
+    policies, policy_of = policies_of(sets, POLICY)
     return log_likelihoods(np.log(density), policies, policy_of, 1 + n if n > 1 else 1)
 
 
@@ -50,7 +50,7 @@ def by_hand(
 ) -> float:
     """Return the log likelihood as a sum over all pairs of actions."""
     red, green = (
-        np.mean([CONDUCT.policy(sets[i][agent].roots[intent]) for i in some], axis=0)
+        np.mean([POLICY.of(sets[i][agent].roots[intent]) for i in some], axis=0)
         for agent in range(2)
     )
     return float(np.log((np.multiply.outer(red, green) * density).sum()))
@@ -60,7 +60,7 @@ def test_an_agent_does_what_was_tried_most_or_anything_whatever() -> None:
     found = RootStatistics(np.array([2, 5]), np.array([3, 1]), np.zeros(2), Action(2))
     anything, powers = 0.3 / N_ACTIONS, {2: 9 / 10, 5: 1 / 10}  # of 3 and 1 visits, squared
     expected = [anything + 0.7 * powers.get(action, 0.0) for action in range(N_ACTIONS)]
-    assert CONDUCT.policy(found) == pytest.approx(expected)
+    assert POLICY.of(found) == pytest.approx(expected)
 
 
 def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:

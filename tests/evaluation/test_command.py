@@ -11,7 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.cli.own import options_of
+from phase_ppl.cli.users_parts import options_of
 from phase_ppl.evaluation import figures, report
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong

@@ -521,7 +521,7 @@ def test_shares_that_are_none_are_refused(shares: dict[str, Any]) -> None:
     [
         ({}, {"na": "-99"}, InvalidSettingError, "na='-99', expected a list of texts"),
         ({}, {"names": ["friendly"]}, InvalidSettingError, "names=.*, expected a mapping"),
-        ({"rating": 3}, {}, InvalidEventError, "line 1: names the column rating: names="),
+        ({"rating": 3}, {}, InvalidEventError, "line 1: names the column rating, a reserved name"),
         ({"neutral": 1e308}, {}, InvalidEventError,
          "neutral is '1e.308', expected a number of 0 or more"),
     ],

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.own import options_of
+from phase_ppl.cli.users_parts import options_of
 from phase_ppl.evaluation.evaluate import event_seed
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready

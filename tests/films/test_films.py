@@ -15,7 +15,7 @@ from PIL import Image
 
 import phase_ppl as ppl
 from phase_films import reading as films
-from phase_films.frames import Film
+from phase_films.film import FilmFile
 from phase_ppl.cli import main
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event, Observation
@@ -116,12 +116,12 @@ def test_a_film_that_does_not_say_how_fast_it_is_needs_to_be_told(
 ) -> None:
     event, path = phase
 
-    class Unknown(Film):
+    class Unknown(FilmFile):
         def __init__(self, path: Any) -> None:
             super().__init__(path)
             self.fps = 0.0
 
-    monkeypatch.setattr(films, "Film", Unknown)
+    monkeypatch.setattr(films, "FilmFile", Unknown)
     for given, said in (
         ({}, "does not say how fast it is: give frames_per_step="),
         ({"frames_per_step": 1, "start": 0.25}, "how fast it is: start= cannot be found"),

@@ -20,7 +20,7 @@ from phase_ppl.inference import sampler
 from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.inference.kernels.amis import AMIS, first_proposal
 from phase_ppl.inference.kernels.weighted import hypothesis_grid
-from phase_ppl.models.roles import log_prior_of_effective
+from phase_ppl.models.world_priors import log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation

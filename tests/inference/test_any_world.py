@@ -30,19 +30,19 @@ from phase_ppl.inference.tables import (
     goal_distances,
     window_count,
 )
-from phase_ppl.models import roles
+from phase_ppl.models import world_priors
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.roles import drawn_stated, log_prior_of_effective
+from phase_ppl.models.world_priors import drawn_stated, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, scenario
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 from phase_ppl.world.worlds import SOLO, TRIO
@@ -71,7 +71,7 @@ def few(world: World) -> None:
     for name, masses in zip(space_of(world).goal_sites, GOALS, strict=True):
         _one_of(name, masses, len(world.goals))
     _one_of("company", COMPANY, len(SPACE.ways))
-    roles.strengths(world)
+    world_priors.strengths(world)
 
 
 def _one_of(name: str, masses: dict[int, float], n: int) -> None:
@@ -273,7 +273,7 @@ def walkers(scene: Scene, roles: Hypothesis, rng: np.random.Generator) -> Iterat
         yield frame.copy()
         for agent, goal in enumerate(roles.effective_goals):
             literal = goal_literal(goal, agent, scene.world)
-            on = literal.predicate is Predicate.ON
+            on = literal.predicate is PredicateKind.ON
             target = scene.landmark_centres[literal.target] if on else frame[literal.target, :2]
             way = (target - frame[literal.subject, :2]) * (1 if literal.positive else -1)
             frame[literal.subject, :2] += roles.strengths[agent] / 600 * way / np.hypot(*way)
@@ -380,20 +380,20 @@ def test_another_prior_weighs_what_was_simulated_anew() -> None:
 def biased(world: World) -> None:
     probs = jnp.ones(len(world.goals)).at[0].set(2.0)
     numpyro.sample("goal_red", dist.Categorical(probs=probs / probs.sum()))
-    roles.company(world)
-    roles.strengths(world)
+    world_priors.company(world)
+    world_priors.strengths(world)
 
 
 def dependent(world: World) -> None:
-    roles.goals(world)
-    roles.company(world)
+    world_priors.goals(world)
+    world_priors.company(world)
     strength = numpyro.sample("strength_red", dist.Uniform(150, 600))
     numpyro.sample("strength_green", dist.Uniform(150, strength))
     numpyro.sample("strength_purple", dist.Uniform(150, 600))
 
 
 def taken(world: World) -> None:
-    roles.uniform(world)
+    world_priors.uniform(world)
     numpyro.sample("alpha_red_green", dist.Normal())
 
 
@@ -423,7 +423,7 @@ def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: st
 
 def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
     with pytest.raises(PhasePPLError, match="in PHASE one takes none and samples goal_red"):
-        ppl.infer(ppl.load_event("collaborate"), ppl.Model(roles.uniform), kernel="prior_mh")
+        ppl.infer(ppl.load_event("collaborate"), ppl.Model(world_priors.uniform), kernel="prior_mh")
     with pytest.raises(InvalidSettingError, match="scenario replaces that of the world PHASE"):
         ppl.Posterior(enumerated().tree, scenario=lambda red, green: "independent")
 
@@ -452,8 +452,8 @@ def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
 
 
 def of_one_strength(world: World) -> None:
-    roles.goals(world)
-    roles.company(world)
+    world_priors.goals(world)
+    world_priors.company(world)
     numpyro.sample("strength_red", ppl.sites.OneOf([LEVELS[2]]))
 
 

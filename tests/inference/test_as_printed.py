@@ -16,7 +16,7 @@ import pytest
 from jax import lax, random
 
 import phase_ppl as ppl
-from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.kernels.generic_mh import MixtureMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.smc import SMC
@@ -112,7 +112,7 @@ def strong() -> None:
         numpyro.sample(name, dist.Uniform(*WIDE))
 
 
-def guide(prior_share: float) -> Mixture:
+def guide(prior_share: float) -> Guide:
     """Windows that take both agents for 450 N strong, give or take 40."""
     n = window_count(N_FRAMES, SETTINGS.window) + 1
     strength = np.full((n, 2), 450.0)
@@ -123,7 +123,7 @@ def guide(prior_share: float) -> Mixture:
 def test_without_a_share_of_the_prior_nothing_is_proposed_that_windows_exclude() -> None:
     drawn, density = {}, {}
 
-    def found(local: Mixture, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def found(local: Guide, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
         z = jax.vmap(lambda key: draw(local, key, jnp.array(0)))(keys)
         red = z["strength_red"]
         one = {name: values[0] for name, values in z.items()}

@@ -17,7 +17,7 @@ from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.stepwise import filtered_frames
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables
-from phase_ppl.models import roles
+from phase_ppl.models import world_priors
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -108,7 +108,7 @@ def test_a_reading_counts_in_the_cost_of_every_run_also_where_it_was_kept() -> N
 
 def test_guide_has_its_density_and_draws_what_can_be() -> None:
     space, n = space_of(PAIR), 4000
-    model = Model(prior=roles.uniform, simulator=never_called).in_world(PAIR)
+    model = Model(prior=world_priors.uniform, simulator=never_called).in_world(PAIR)
     guide = bottom_up_guide(model.prior, model.sites, tables_of(PAIR), prior_share=0.1)
     drawn = compiled_quickly(jax.vmap(lambda key: draw(guide, key, 0)))(
         random.split(random.key(0), n)

@@ -14,7 +14,7 @@ import pytest
 from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
-from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.strength import StrengthEstimates
 from phase_ppl.inference.tables import (
@@ -120,7 +120,7 @@ def tables() -> BottomUpTables:
 
 
 @functools.cache
-def guide_of(prior: Callable[[], Any]) -> Mixture:
+def guide_of(prior: Callable[[], Any]) -> Guide:
     model = Model(prior=prior, simulator=never_called)
     return bottom_up_guide(prior, model.sites, tables(), prior_share=0.1)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import Marginals, distances, marginals
@@ -83,11 +84,11 @@ def test_a_video_is_read_once_for_all_kernels_and_repeats(
 ) -> None:
     seen: list[int] = []
 
-    def read(event: ppl.Event, model: ppl.Model, **options: Any) -> StepwisePosterior:
-        seen.append(options["seed"])
-        return EXACT
+    def read(event: ppl.Event, model: ppl.Model, seed: int, *options: Any) -> xr.Dataset:
+        seen.append(seed)
+        return EXACT.dataset
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", read)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", read)
     model = ppl.Model(prior=few_goals, likelihood=ppl.StepwiseLikelihood(weight=0.5))
     options = {**COMPARED, "repeats": 2, "budget": ppl.simulations(600), "seed": 4}
     options["checkpoint"] = tmp_path / "runs.json"

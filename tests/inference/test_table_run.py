@@ -96,11 +96,11 @@ def test_a_model_that_reads_is_read_and_then_sampled(monkeypatch: pytest.MonkeyP
     model = ppl.Model(prior=few_goals, likelihood=likelihood)
     seen: list[Any] = []
 
-    def read(event: ppl.Event, model: ppl.Model, **options: Any) -> StepwisePosterior:
-        seen.append((event, model, options["seed"]))
-        return EXACT
+    def read(event: ppl.Event, model: ppl.Model, seed: int, *options: Any) -> xr.Dataset:
+        seen.append((event, model, seed))
+        return EXACT.dataset
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", read)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", read)
     event = event_of(EXACT)
     post = sampled(event, model, iterations=20)
     ((given, of_model, seed),) = seen

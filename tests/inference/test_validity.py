@@ -304,7 +304,7 @@ def test_a_single_particle_is_stopped_early_only_where_that_is_wanted(name: str)
     for early_reject in (True, False):
         single = kernel(name, 0, early_reject=early_reject)
         program = EventProgram(model(), 0, N_FRAMES)
-        single = single.bound_to(program, lambda window: characters(), SETTINGS)
+        single = single.bound_to(program, table_guide(characters), SETTINGS)
         state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
         assert jax.eval_shape(single.sample, state) == state
         stops = []

@@ -15,7 +15,7 @@ from jax import lax
 from numpy.typing import NDArray
 from numpyro.infer.mcmc import MCMCKernel
 
-from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import BottomUpTables, window_count
 from phase_ppl.models import sites
@@ -29,7 +29,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.scene import Scene
 
 N_FRAMES = 5
@@ -143,14 +143,14 @@ def table_program(
     return EventProgram(model, bridge.handle, N_FRAMES), bridge
 
 
-def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
+def table_guide(prior: Any = few_goals, seed: int = 1) -> Guide:
     """A guide whose windows disagree: each one has goals of its own in mind."""
     n_windows = window_count(N_FRAMES, SETTINGS.window)
     logits = np.random.default_rng(seed).normal(0.0, 2.0, (n_windows + 1, 2, N_GOALS))
     return guide_of_logits(prior, logits)
 
 
-def guide_of_logits(prior: Any, logits: FloatArray) -> Mixture:
+def guide_of_logits(prior: Any, logits: FloatArray) -> Guide:
     """A guide with estimates of strengths in window 1 only."""
     strength = np.full((len(logits), 2), np.nan)
     strength[1] = 300.0, 450.0
@@ -251,7 +251,7 @@ def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> I
         yield frame.copy()
         for agent, goal in enumerate(hypothesis.effective_goals):
             literal = goal_literal(goal, agent)
-            on = literal.predicate is Predicate.ON
+            on = literal.predicate is PredicateKind.ON
             target = scene.landmark_centres[literal.target] if on else frame[literal.target, :2]
             way = (target - frame[literal.subject, :2]) * (1 if literal.positive else -1)
             step = hypothesis.strengths[agent] / 600 * way / max(float(np.linalg.norm(way)), 1.0)

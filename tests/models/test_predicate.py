@@ -35,7 +35,7 @@ from phase_ppl.world.event import Observation, State
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.goals import effective_goal, goal_index, goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis, all_ways
-from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import NOTHING, STOP, Literal, PredicateKind
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
@@ -64,7 +64,7 @@ def state(
 
 
 def go(agent: int, room: int) -> Literal:
-    return Literal(Predicate.CLOSE, agent, room)
+    return Literal(PredicateKind.CLOSE, agent, room)
 
 
 def cost(goal: str, agent: int, where: ppl.Scene, given: Moment) -> float:
@@ -73,7 +73,7 @@ def cost(goal: str, agent: int, where: ppl.Scene, given: Moment) -> float:
     return CostToGo(Layout.of(where), agent, literal)(given)
 
 
-ARRIVE = Literal(Predicate.ON, 0, BLUE)
+ARRIVE = Literal(PredicateKind.ON, 0, BLUE)
 TO_BLUE, TO_GREEN = (goal_index(f"Get red agent to {name} lm") for name in ("blue", "green"))
 
 
@@ -115,21 +115,21 @@ def test_the_posterior_is_bayes_rule_over_pairs_of_goals() -> None:
 def test_what_is_touched_can_be_gripped_and_is_not_touched_anew() -> None:
     beside_both = state(rooms=(BLUE, BLUE, BLUE, BLUE), near=((0, 1), (0, 2)))
     known = MODEL.policy(beside_both, 0, TO_BLUE)
-    touching = [o.target for o in known if o.predicate is Predicate.TOUCH]
+    touching = [o.target for o in known if o.predicate is PredicateKind.TOUCH]
     assert touching == [3]
-    gripping = [o for o in known if o.predicate is Predicate.ATTACH]
-    assert gripping == [Literal(Predicate.ATTACH, 0, 2)]
+    gripping = [o for o in known if o.predicate is PredicateKind.ATTACH]
+    assert gripping == [Literal(PredicateKind.ATTACH, 0, 2)]
 
 
 def test_changes_are_told_as_operators_in_order() -> None:
     before = state(rooms=(BLUE, RED, BLUE, RED))
     done = [literal for _, literal in own_changes(before, before._replace(held=(2, NOTHING)), 0)]
-    assert done == [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ATTACH, 0, 2)]
+    assert done == [Literal(PredicateKind.TOUCH, 0, 2), Literal(PredicateKind.ATTACH, 0, 2)]
     # what is left behind is touched no more
     before = state(rooms=(BLUE, RED, GREEN, BLUE), near=((0, 3),))
     after = state(rooms=(GREEN, RED, GREEN, BLUE), near=((0, 2),))
     (_, going), (there, touching) = own_changes(before, after, 0)
-    assert (going, touching) == (go(0, GREEN), Literal(Predicate.TOUCH, 0, 2))
+    assert (going, touching) == (go(0, GREEN), Literal(PredicateKind.TOUCH, 0, 2))
     assert not any(there.near[0])
     # who carries goes and arrives with the item
     before = state(rooms=(BLUE, RED, BLUE, RED), near=((0, 2),))
@@ -139,10 +139,10 @@ def test_changes_are_told_as_operators_in_order() -> None:
     left = state(rooms=(GREEN, RED, GREEN, RED), near=((0, 2),), placed=(2,))
     steps = itertools.pairwise((before, gripped, carried, arrived, left))
     assert [[literal for _, literal in own_changes(*step, 0)] for step in steps] == [
-        [Literal(Predicate.ATTACH, 0, 2)],
+        [Literal(PredicateKind.ATTACH, 0, 2)],
         [go(2, GREEN)],
-        [Literal(Predicate.ON, 2, GREEN)],
-        [Literal(Predicate.ATTACH, 0, 2, positive=False)],
+        [Literal(PredicateKind.ON, 2, GREEN)],
+        [Literal(PredicateKind.ATTACH, 0, 2, positive=False)],
     ]
     assert not list(own_changes(gripped, carried, 1))
 
@@ -269,7 +269,7 @@ def test_operators_are_those_of_the_planner_for_bodies_that_can_do_everything(na
 
 def is_done(goal: Literal, agent: int, now: Moment, start: Moment, layout: Layout) -> bool:
     """Whether a goal is reached, by the table of :class:`CostToGo`."""
-    subject, target, touch = goal.subject, goal.target, goal.predicate is Predicate.TOUCH
+    subject, target, touch = goal.subject, goal.target, goal.predicate is PredicateKind.TOUCH
     moved = target if touch and subject != agent else subject
     if moved >= layout.n_agents and goal.positive:
         return now.rooms[moved] == now.rooms[subject] if touch else now.on[moved] == target
@@ -289,14 +289,17 @@ def is_done(goal: Literal, agent: int, now: Moment, start: Moment, layout: Layou
 
 def searched(goal: Literal, agent: int, start: Moment, layout: Layout) -> float:
     """Return the cost of the cheapest plan, by a search over what has to do with the goal."""
-    about = {agent, goal.subject, *[goal.target] * (goal.predicate is Predicate.TOUCH)}
+    about = {agent, goal.subject, *[goal.target] * (goal.predicate is PredicateKind.TOUCH)}
     best, frontier, number = {start: 0.0}, [(0.0, 0, start)], itertools.count(1)
     while frontier:
         cost, _, now = heapq.heappop(frontier)
         if is_done(goal, agent, now, start, layout):
             return cost
         for literal, more, after in operators(now, agent, layout):
-            grips = literal.predicate in (Predicate.TOUCH, Predicate.ATTACH) and literal.positive
+            grips = (
+                literal.predicate in (PredicateKind.TOUCH, PredicateKind.ATTACH)
+                and literal.positive
+            )
             serves = (literal.target if grips else literal.subject) in about
             if serves and cost + more < best.get(after, math.inf):
                 best[after] = cost + more

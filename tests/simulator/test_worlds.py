@@ -212,5 +212,5 @@ def test_roles_that_cannot_be_get_one_clear_line() -> None:
 def test_what_knows_no_other_world_says_so(trio: ppl.Event) -> None:
     with pytest.raises(PhasePPLError, match="'socialgnn' knows the world PHASE only, not 'trio'"):
         ppl.evaluate([trio], "socialgnn")
-    with pytest.raises(AttributeError, match="alpha is of two agents"):
+    with pytest.raises(AttributeError, match="alpha needs a world of exactly two agents; 'trio'"):
         _ = trio.truth.alpha

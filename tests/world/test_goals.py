@@ -21,7 +21,7 @@ from phase_ppl.world.goals import (
     neighbouring_goals,
 )
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, Predicate
+from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, PredicateKind
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.worlds import SOLO, TRIO
 from tests.world.examples import DEV, needs_dev
@@ -63,7 +63,7 @@ def test_literals_say_who_is_to_be_where() -> None:
     assert PHASE.words(goal_literal("get to red agent", GREEN)) == "TOUCH(green agent, red agent)"
     assert PHASE.words(STOP) == "STOP"
     with pytest.raises(UnknownNameError, match="ATTACH"):
-        literal_goal(Literal(Predicate.ATTACH, RED, 2))
+        literal_goal(Literal(PredicateKind.ATTACH, RED, 2))
 
 
 def test_only_getting_to_or_from_oneself_is_self_referring() -> None:

@@ -21,8 +21,7 @@ from phase_ppl.world.goals import (
     possible_goals,
     shared_goal,
 )
-from phase_ppl.world.names import Literal
-from phase_ppl.world.names import Predicate as Kind
+from phase_ppl.world.names import Literal, PredicateKind
 from phase_ppl.world.predicates import Predicate
 from phase_ppl.world.scene import PHASE, Scene, World
 from tests.world.examples import check_refused
@@ -86,13 +85,13 @@ def test_what_an_agent_plans_is_of_the_predicates_of_all_worlds() -> None:
         return planned_as(goal_literal(goal, holder, scene.world), holder, scene)
 
     room = int(scene.rooms.room_of(np.array([18, 14])))
-    assert plan("toys together", 0) == Literal(Kind.TOUCH, 3, 2)
-    assert plan("not ball in the playroom", 1) == Literal(Kind.CLOSE, 2, room, False)
-    assert plan("agents near", 0) == Literal(Kind.TOUCH, 0, 1)
-    assert plan("agents near", 1) == Literal(Kind.TOUCH, 1, 0)
-    assert plan("agents apart", 0) == Literal(Kind.TOUCH, 0, 1, False)
-    assert plan("not agents apart", 0) == Literal(Kind.TOUCH, 0, 1)
-    assert plan("doll near the cot", 0) == Literal(Kind.ON, 3, 0)
+    assert plan("toys together", 0) == Literal(PredicateKind.TOUCH, 3, 2)
+    assert plan("not ball in the playroom", 1) == Literal(PredicateKind.CLOSE, 2, room, False)
+    assert plan("agents near", 0) == Literal(PredicateKind.TOUCH, 0, 1)
+    assert plan("agents near", 1) == Literal(PredicateKind.TOUCH, 1, 0)
+    assert plan("agents apart", 0) == Literal(PredicateKind.TOUCH, 0, 1, False)
+    assert plan("not agents apart", 0) == Literal(PredicateKind.TOUCH, 0, 1)
+    assert plan("doll near the cot", 0) == Literal(PredicateKind.ON, 3, 0)
 
 
 def test_distances_are_ways_through_doors() -> None:

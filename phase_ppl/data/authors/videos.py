@@ -65,7 +65,7 @@ from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Predicate
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.names import Literal as GoalLiteral
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase
@@ -157,11 +157,11 @@ def goal_string(goal: Goal, holder: int) -> str:
     positive = sign > 0
     on_landmark = entity < len(AGENTS) and target < len(LANDMARKS)
     if kind == "LMO" and on_landmark:
-        literal = GoalLiteral(Predicate.ON, BLUE_ITEM + entity, target, positive)
+        literal = GoalLiteral(PredicateKind.ON, BLUE_ITEM + entity, target, positive)
     elif kind == "LMA" and on_landmark:
-        literal = GoalLiteral(Predicate.ON, entity, target, positive)
+        literal = GoalLiteral(PredicateKind.ON, entity, target, positive)
     elif kind == "TE" and {entity, target} == {0, 1}:  # chaser and chased, in either agent's goal
-        literal = GoalLiteral(Predicate.TOUCH, holder, 1 - holder, positive)
+        literal = GoalLiteral(PredicateKind.TOUCH, holder, 1 - holder, positive)
     else:
         raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
     return GOALS[literal_goal(literal)]
@@ -171,7 +171,7 @@ def goal_numbers(goal: str, holder: int) -> Goal:
     """Invert :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
     literal = goal_literal(goal_index(goal), holder)
     sign = 1 if literal.positive else -1
-    if literal.predicate is Predicate.TOUCH:
+    if literal.predicate is PredicateKind.TOUCH:
         if literal.target == holder:
             raise InvalidEventError(f"goal {goal!r} names its own holder, the {AGENTS[holder]}")
         chaser, chased = (holder, 1 - holder) if literal.positive else (1 - holder, holder)

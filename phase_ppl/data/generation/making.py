@@ -23,7 +23,7 @@ from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, all_ways
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, PredicateKind
 from phase_ppl.world.scene import Scene, Turning, World
 
 AFTER_MOTION: Final = 8
@@ -139,7 +139,7 @@ def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothe
     goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
     for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
         literal = goal_literal(goal, agent)
-        targets = entity if literal.predicate is Predicate.TOUCH else landmark
+        targets = entity if literal.predicate is PredicateKind.TOUCH else landmark
         goals[entity[agent]] = literal_goal(
             literal._replace(subject=entity[literal.subject], target=targets[literal.target])
         )

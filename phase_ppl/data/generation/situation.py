@@ -14,7 +14,7 @@ from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.geometry import is_agent, overlaps
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis, scenario
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
 from phase_ppl.world.scene import ARENA, PHASE, Scene, World
 
@@ -222,7 +222,7 @@ class Draw:
         for goal in possible_goals(holder, world):
             predicate, subject, _, positive = goal_literal(goal, holder, world)
             is_own = subject >= len(world.agents) or (subject == holder and not of_item)
-            if is_own and positive and predicate is not Predicate.TOUCH:
+            if is_own and positive and predicate is not PredicateKind.TOUCH:
                 yield world.goals[goal]
 
     def situation(

@@ -20,7 +20,7 @@ from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.models.predicate import PredicateSettings
-    from phase_ppl.models.roles import Masses
+    from phase_ppl.models.world_priors import Masses
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,13 +53,13 @@ def prior_in(world: World, name: str) -> Masses:
 
     InvalidSettingError: it is of PHASE only, and the world another.
     """
-    from phase_ppl.models import priors, roles
+    from phase_ppl.models import priors, world_priors
     from phase_ppl.models.predicate import INDEPENDENT
 
-    alone = functools.partial(roles.uniform, social=0.0)
+    alone = functools.partial(world_priors.uniform, social=0.0)
     prior = alone if name == INDEPENDENT else priors.named(name)
-    asks = roles.role_prior(prior, world)
-    return roles.masses_of(roles.WorldPrior(prior, asks, world, arguments=(world,)))
+    asks = world_priors.role_prior(prior, world)
+    return world_priors.masses_of(world_priors.WorldPrior(prior, asks, world, arguments=(world,)))
 
 
 def marginals(

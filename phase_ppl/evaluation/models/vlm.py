@@ -307,11 +307,11 @@ def vlm(
         if not replay:
             check_installed(f"client {client!r}", [SERVICES[service.name]], "vlm")
         asked, named = service, service.named()
-    text = TEXT if prompt is None else _own_prompt(prompt)
+    text = TEXT if prompt is None else _users_prompt(prompt)
     return Vlm(asked, named, frames, kept, replay, retries, remaining, text)
 
 
-def _own_prompt(path: object) -> str:
+def _users_prompt(path: object) -> str:
     """Return the text of a file; InvalidSettingError: it is none that can be asked."""
     if not isinstance(path, str | os.PathLike):
         raise InvalidSettingError(f"prompt={shown(path)}, expected the name of a text file")

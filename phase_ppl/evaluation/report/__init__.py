@@ -85,8 +85,8 @@ def report(
     Args:
         folder: of a run, with posterior.nc, of an evaluation, or of a comparison of models.
         path: of the page, ending in .html; default ``report.html`` in the folder.
-        videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
-            that a run has is always there.
+        videos: film every event of an evaluation as well, some seconds and 0.1 MB each. If a run
+            has a film, the page always shows it.
         progress: show a bar over the events on stderr; by default if stderr is a terminal.
 
     Raises:

@@ -32,9 +32,9 @@ import numpyro.distributions as dist
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.estimate import kish_size
 from phase_ppl.analysis.weights import log_sum_exp, normalised
-from phase_ppl.inference.guide import Mixture, Replaced, estimated, strength_distribution
+from phase_ppl.inference.guide import Guide, Replaced, estimated, strength_distribution
 from phase_ppl.inference.kernels.weighted import Importance
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.bridge import Record
@@ -42,8 +42,8 @@ from phase_ppl.models.density import Program, Sites, compiled_quickly, log_densi
 from phase_ppl.models.effective import WorldPrior, prior_table, space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import effective_goals
-from phase_ppl.models.roles import masses_of
 from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.world_priors import masses_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -89,7 +89,7 @@ class Proposal(NamedTuple):
 
 def guide_of(
     prior: Program, sites: Mapping[str, tuple[int, ...]], proposal: Proposal, prior_share: float
-) -> Mixture:
+) -> Guide:
     """Return the NumPyro program that draws from a proposal or, with its share, from the prior."""
     space = space_of_prior(prior)
 
@@ -114,7 +114,7 @@ def guide_of(
             prior()
 
     programs = (fitted, lambda _: prior())
-    return Mixture(programs, (1 - prior_share, prior_share), sites)
+    return Guide(programs, (1 - prior_share, prior_share), sites)
 
 
 @register_kernel(
@@ -124,7 +124,6 @@ def guide_of(
     keeps="start",
     weighted=True,
     any_length=True,
-    adapts=True,
 )
 class AMIS(Importance):
     """Adaptive multiple importance sampling, for simulators that take milliseconds.
@@ -136,7 +135,7 @@ class AMIS(Importance):
     adapts = True
 
     @property
-    def guide(self) -> Program:
+    def guide(self) -> Guide:
         """The current proposal; only a run of ``infer`` fits it to its draws."""
         if self._guide is None:
             raise InvalidSettingError(
@@ -145,10 +144,10 @@ class AMIS(Importance):
         return super().guide
 
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        return self.draw_guide(key, 0), jnp.asarray(-1, jnp.int32)
+        return self.guide.draw(key, 0), jnp.asarray(-1, jnp.int32)
 
     def _log_proposal(self, sites: Sites) -> jax.Array:
-        return log_density(self.guide, sites, 0)
+        return self.guide.log_prob(sites, 0)
 
 
 class Adaptation:
@@ -446,7 +445,7 @@ def _power_of(log_likelihood: FloatArray, log_ratio: FloatArray) -> float:
     """Return the highest power, at most ``POWER``, that leaves ``EFFECTIVE`` rows (Kish)."""
 
     def is_enough(power: float) -> bool:
-        return worth(normalised(log_ratio + power * log_likelihood)) >= EFFECTIVE
+        return kish_size(normalised(log_ratio + power * log_likelihood)) >= EFFECTIVE
 
     low, high = 0.0, POWER
     if is_enough(high):

@@ -12,7 +12,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
-from phase_ppl.inference.guide import NEVER
+from phase_ppl.inference.guide import NEVER, Guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import (
     MHState,
@@ -26,7 +26,6 @@ from phase_ppl.inference.kernels.metropolis import (
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import Request
-from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, positive_number, shown
 from phase_ppl.world.goals import neighbouring_goals
@@ -189,7 +188,7 @@ class MixtureMH(LocalMH):
     def __init__(
         self,
         program: EventProgram | None = None,
-        guide: Program | None = None,
+        guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
         local_share: float = LOCAL_SHARE,

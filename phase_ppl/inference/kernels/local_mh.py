@@ -37,13 +37,13 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro import handlers
 
-from phase_ppl.inference.guide import Mixture
+from phase_ppl.inference.guide import Guide
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move, Proposed
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_length
 from phase_ppl.models.bridge import Request
-from phase_ppl.models.density import Program, Sites, draw, log_density, trace_log_density
+from phase_ppl.models.density import Sites, draw, trace_log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name
 
@@ -129,7 +129,7 @@ class LocalMH(MetropolisKernel):
     def __init__(
         self,
         program: EventProgram | None = None,
-        guide: Program | None = None,
+        guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
         rule: Rule = "exact",
@@ -148,18 +148,18 @@ class LocalMH(MetropolisKernel):
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
         """Return (window,) log Q(sites | S_k); -inf for windows that do not exist."""
         windows = jnp.arange(self.most_windows)
-        density = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        density = jax.vmap(lambda window: self.guide.log_prob(sites, window))(windows)
         if self.program.is_padded:
             density = jnp.where(windows < self.n_windows, density, -jnp.inf)
         return {"log_proposal": density}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis proposed from the whole observation."""
-        return self.draw_guide(key, self.n_windows)
+        return self.guide.draw(key, self.n_windows)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
         """Return log Q(sites | whole observation)."""
-        return log_density(self.guide, sites, self.n_windows)
+        return self.guide.log_prob(sites, self.n_windows)
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
         """Propose from a window in which the simulation is off."""
@@ -173,7 +173,7 @@ class LocalMH(MetropolisKernel):
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Return a window in which the simulation is off, and a hypothesis proposed from it."""
         window = random.categorical(key_window, self.log_windows(state.step_error))
-        return window, self.draw_guide(key_sites, window)
+        return window, self.guide.draw(key_sites, window)
 
     def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
         """Return the move to a hypothesis that was proposed from a window."""
@@ -211,9 +211,9 @@ class LocalMH(MetropolisKernel):
         together. The simulation stops when its log likelihood cannot reach ``log_floor``.
         """
         # Q may lack a share of the prior: nothing is divided by it here
-        program, guide = self.program, self._guide
-        assert isinstance(guide, Mixture), "the bottom-up guide is one"
-        bottom_up, window = guide.programs[0], jnp.asarray(self.n_windows)
+        assert self._guide is not None, "a run gives one"
+        program, window = self.program, jnp.asarray(self.n_windows)
+        bottom_up = self._guide.programs[0]
         key_sites, key_seed = random.split(key)
         sites = draw(handlers.substitute(bottom_up, data=given), key_sites, window)
         trace = handlers.trace(handlers.substitute(bottom_up, data=sites)).get_trace(window)

@@ -28,17 +28,15 @@ from numpyro import handlers
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.guide import Mixture
+from phase_ppl.inference.guide import Guide
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_count
 from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import (
     NO_DENSITY,
-    Program,
     Sites,
     compiled_quickly,
-    draw,
     is_stepped,
 )
 from phase_ppl.models.program import EventProgram
@@ -83,7 +81,7 @@ class EventKernel(MCMCKernel):
     def __init__(
         self,
         program: EventProgram | None = None,
-        guide: Program | None = None,
+        guide: Guide | None = None,
         settings: SimpleSettings | None = None,
     ) -> None:
         self._program = program
@@ -92,7 +90,7 @@ class EventKernel(MCMCKernel):
         settings = getattr(program, "settings", None) if settings is None else settings
         self.settings = SimpleSettings() if settings is None else settings
 
-    def bound_to(self, program: EventProgram, guide: Program, settings: SimpleSettings) -> Self:
+    def bound_to(self, program: EventProgram, guide: Guide, settings: SimpleSettings) -> Self:
         """Return a copy of this kernel, with its own options, for another event."""
         bound = copy.copy(self)
         EventKernel.__init__(bound, program, guide, settings)
@@ -105,7 +103,7 @@ class EventKernel(MCMCKernel):
         return self._program
 
     @property
-    def guide(self) -> Program:
+    def guide(self) -> Guide:
         guide = getattr(self._program, "guide", None) if self._guide is None else self._guide
         if guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
@@ -115,7 +113,7 @@ class EventKernel(MCMCKernel):
                 "which it divides by, above 0; expected a number in (0, 1), or kernel='local_mh' "
                 "with rule='paper', the ratio as printed"
             )
-        found: Program = guide
+        found: Guide = guide
         return found
 
     def init(
@@ -201,12 +199,6 @@ class EventKernel(MCMCKernel):
     def most_windows(self) -> int:
         """Number of windows that the arrays have room for."""
         return window_count(self.program.n_frames, self.settings.window)
-
-    def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
-        """Return a hypothesis from the guide."""
-        if isinstance(self.guide, Mixture):
-            return self.guide.draw(key, jnp.asarray(window))
-        return draw(self.guide, key, jnp.asarray(window))
 
     def initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return the first of several initial hypotheses that has prior mass.
@@ -363,7 +355,7 @@ class MetropolisKernel(EventKernel):
     def __init__(
         self,
         program: EventProgram | None = None,
-        guide: Program | None = None,
+        guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
         early_reject: bool = True,

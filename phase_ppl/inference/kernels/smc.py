@@ -26,13 +26,13 @@ import numpy as np
 from jax import lax, random
 from jax.scipy.special import logsumexp
 
+from phase_ppl.inference.guide import Guide
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import EventKernel, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import Request
-from phase_ppl.models.density import Program, log_density
 from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
@@ -174,7 +174,7 @@ class SMC(EventKernel):
     def __init__(
         self,
         program: EventProgram | None = None,
-        guide: Program | None = None,
+        guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
         target: float = 0.5,
@@ -197,7 +197,7 @@ class SMC(EventKernel):
 
         def one(key: jax.Array, sites: dict[str, jax.Array] | None) -> tuple[Any, Request]:
             key, key_sites, key_start = random.split(key, 3)
-            drawn = self.draw_guide(key_sites, self.n_windows) if sites is None else sites
+            drawn = self.guide.draw(key_sites, self.n_windows) if sites is None else sites
             return self._mover(self.program).start(key, key_start, drawn)
 
         return for_each(one, keys, given)
@@ -207,7 +207,7 @@ class SMC(EventKernel):
 
         def one(known: Any, step_error: jax.Array) -> SMCState:
             particle = self._mover(self.program).started(known, step_error)
-            log_proposal = log_density(self.guide, particle.z, jnp.asarray(self.n_windows))
+            log_proposal = self.guide.log_prob(particle.z, jnp.asarray(self.n_windows))
             log_likelihood = self.program.relative_log_likelihood(particle.step_error)
             log_weight = particle.log_prior - log_proposal + log_likelihood
             zero = jnp.zeros(())

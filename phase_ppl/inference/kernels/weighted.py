@@ -30,7 +30,7 @@ from phase_ppl.models.effective import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.roles import drawn_stated, effective_goals, log_prior_of_effective
+from phase_ppl.models.world_priors import drawn_stated, effective_goals, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -110,7 +110,7 @@ class Importance(EventKernel):
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         key_window, key_sites = random.split(key)
         window = random.randint(key_window, (), 0, self.n_windows + 1)
-        return self.draw_guide(key_sites, window), window
+        return self.guide.draw(key_sites, window), window
 
     def start(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
@@ -145,7 +145,7 @@ class Importance(EventKernel):
     def _log_proposal(self, sites: Sites) -> jax.Array:
         """Return the log density with which a hypothesis is drawn."""
         windows = jnp.arange(self.most_windows + 1)  # and the whole observation
-        by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        by_window = jax.vmap(lambda window: self.guide.log_prob(sites, window))(windows)
         by_window = jnp.where(windows <= self.n_windows, by_window, -jnp.inf)
         log_count = jnp.asarray(np.log(np.arange(1, len(windows) + 1)), jnp.float32)
         return logsumexp(by_window) - log_count[self.n_windows]

@@ -33,7 +33,7 @@ from phase_ppl.inference.kernels.metropolis import (
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.uniform import IMPOSSIBLE, dimensions, in_steps, sites_at
+from phase_ppl.models.uniform import IMPOSSIBLE_POTENTIAL, dimensions, in_steps, sites_at
 from phase_ppl.world.errors import InvalidSettingError, positive_number, whole_number
 
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
@@ -92,7 +92,7 @@ class UniformKernel(EventKernel):
         # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
         volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
         potential = -self.program.relative_log_likelihood(error) - volume.sum()
-        return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
+        return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE_POTENTIAL)
 
     def begun(self, keys: jax.Array, _: Any) -> WrappedState:
         keys = for_each(lambda key: random.split(key, 3), keys)
@@ -213,7 +213,7 @@ class SampleAdaptive(UniformKernel):
         # a particle starts at a possible point of its pool, if there is one
         zs, pes = state.adapt_state.zs, state.adapt_state.pes
         best = pes.argmin(axis=1)[:, None]
-        possible = state.potential_energy < IMPOSSIBLE
+        possible = state.potential_energy < IMPOSSIBLE_POTENTIAL
         best_z = jnp.take_along_axis(zs, best[..., None], axis=1)[:, 0]
         best_pe = jnp.take_along_axis(pes, best, axis=1)[:, 0]
         return state._replace(

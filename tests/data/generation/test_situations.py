@@ -43,7 +43,7 @@ from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNa
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import BLUE_ITEM, Predicate
+from phase_ppl.world.names import BLUE_ITEM, PredicateKind
 from phase_ppl.world.rooms import Rooms
 from phase_ppl.world.scene import PHASE, Scene
 
@@ -113,7 +113,7 @@ def test_situations_show_the_scenario_of_their_family_and_nothing_overlaps(cell:
         assert not overlaps(scene.start, scene.radius, scene.walls)
         for agent, goal in enumerate(wanted.effective_goals):
             literal = goal_literal(goal, agent)
-            if literal.predicate is Predicate.ON and literal.positive:
+            if literal.predicate is PredicateKind.ON and literal.positive:
                 assert rooms[literal.subject] != literal.target, "it is there already"
     # they depend on the seed alone
     one, other = (situations(cell, 2)[1] for _ in range(2))

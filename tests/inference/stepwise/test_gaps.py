@@ -14,7 +14,7 @@ from scipy.special import entr
 import phase_ppl as ppl
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
-from tests.inference.stepwise.test_own_simulator import EVENT, SPREAD, Draws, Knows, model
+from tests.inference.stepwise.test_users_simulator import EVENT, SPREAD, Draws, Knows, model
 
 QUICK = ppl.Model(
     likelihood=ppl.StepwiseLikelihood(planner_seeds=1),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, over_sets, worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, kish_size, leaving_out, over_sets
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import Table
@@ -57,7 +57,7 @@ class WithSites(Hypotheses):
     @functools.cached_property
     def _effective_size(self) -> float:
         """The number of equal draws that those here are worth; NaN where there are all values."""
-        return math.nan if self.summed else worth(self._rows.weights)
+        return math.nan if self.summed else kish_size(self._rows.weights)
 
     def _has_error(self, *columns: NDArray[Any]) -> bool:
         """Return whether no column depends on strengths, as in the closed loop.
@@ -76,7 +76,7 @@ class WithSites(Hypotheses):
 
         The values of further sites count where there are all of them.
         """
-        derived = {*self._words.quantities, *self._own}
+        derived = {*self._words.quantities, *self._defined}
         sites = [name for name in self._quantities if name not in derived]
         known = [name for name in self._words.space.kept_columns if name in self._rows.values]
         if len(known) < len(self._words.space.kept_columns):  # stated goals are PHASE's

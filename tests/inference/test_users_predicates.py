@@ -17,7 +17,7 @@ from phase_ppl.models.predicate import ForwardModel
 from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import State
-from phase_ppl.world.names import Predicate as Kind
+from phase_ppl.world.names import PredicateKind
 
 NURSERY = ppl.World(
     agents=["red agent"],
@@ -91,7 +91,9 @@ def test_what_it_does_is_said_in_words_and_in_literals_of_all_worlds() -> None:
     assert "brings the ball to the doll" in ppl.explain(event)
     assert "as it has what it wants" in ppl.explain(event)
     assert event.thoughts is not None
-    assert all(one.predicate is not Kind.OWN for step in event.thoughts.subgoals for one in step)
+    assert all(
+        one.predicate is not PredicateKind.USERS for step in event.thoughts.subgoals for one in step
+    )
 
 
 def test_files_keep_predicates_with_the_event(tmp_path: Path) -> None:

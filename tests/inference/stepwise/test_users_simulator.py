@@ -15,10 +15,9 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis import stepwise_table
-from phase_ppl.closed_loop import own_simulator
+from phase_ppl.closed_loop import users_simulator
 from phase_ppl.inference.table_run import ReadTable
-from phase_ppl.models import roles, sites
+from phase_ppl.models import prior_masses, sites, world_priors
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.hypothesis import Hypothesis, all_ways
@@ -161,7 +160,7 @@ def of_three(world: ppl.World) -> None:
     for key in world.keys:
         probs = jnp.zeros(len(world.goals)).at[jnp.array(OWN_GOALS)].set(jnp.array(OWN_MASS))
         numpyro.sample(f"goal_{key}", dist.Categorical(probs=probs))
-    roles.company(world, social=0.5)
+    world_priors.company(world, social=0.5)
     for key in world.keys:
         numpyro.sample(f"strength_{key}", sites.OneOf(STRONG, [0.25, 0.75]))
 
@@ -223,7 +222,7 @@ def test_errors_by_samples_are_what_seeds_differ_by() -> None:
 def test_watching_says_the_same_as_reading_and_processes_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(own_simulator, "WORTH_PROCESSES", 0.0)
+    monkeypatch.setattr(users_simulator, "WORTH_PROCESSES", 0.0)
     given = model(Draws(), samples=20, tracking=FEW)
     whole = infer(Draws(), samples=20, tracking=FEW)
     with ppl.watch(EVENT.scene, given, threads=2) as watch:
@@ -297,7 +296,7 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(monkeypatch: pytest.Monk
         infer(walkers)
     with pytest.raises(InvalidSettingError, match="expected a generator function"):
         ppl.Model(simulator=Knows())  # whole videos take more
-    monkeypatch.setattr(stepwise_table, "MOST_READ", 100)
+    monkeypatch.setattr(prior_masses, "MOST_READ", 100)
     with pytest.raises(InvalidSettingError, match="11 combinations of goals times 16 of strengths"):
         infer(Knows())
     with pytest.raises(InvalidSettingError, match=r"3.17e\+04 combinations of goals times 8"):

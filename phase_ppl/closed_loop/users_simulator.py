@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.closed_loop.next_frame import PARTS, log_density
+from phase_ppl.closed_loop.kernel_density import PARTS, log_density
 from phase_ppl.simulator.contract import has_density, log_prob_next, next_frames
 from phase_ppl.simulator.processes import (
     BorrowedExecutor,
@@ -39,14 +39,14 @@ WORTH_PROCESSES: Final = 0.3
 """Seconds of a frame from which on processes are started, which takes longer than that."""
 
 
-class NextFrame(NamedTuple):
+class FrameJob(NamedTuple):
     """What a worker needs to say how probable frames are."""
 
     simulator: Any
     scene: Scene
     hypotheses: Sequence[Hypothesis]  # with effective goals
     samples: int  # 0: the simulator has a density
-    scale: float  # of kernels, see ``next_frame.log_density``; and so the next
+    scale: float  # of kernels, see ``kernel_density.log_density``; and so the next
     noise: float
 
     def read(
@@ -85,7 +85,7 @@ class NextFrame(NamedTuple):
             self.simulator.warm_up()
 
 
-class OwnReading(NamedTuple):
+class SimulatorReading(NamedTuple):
     """What one frame says, by a simulator of one's own."""
 
     log_likelihood: FloatArray  # (goals, combination), NaN where it was not read
@@ -130,7 +130,7 @@ class SimulatorFilter:
         self.n_parts = PARTS if self.samples else 0
         noise = tracking.noise or 0.0
         given = simulator, scene, hypotheses, self.samples, tracking.scale, noise
-        self._next = NextFrame(*given)
+        self._next = FrameJob(*given)
         self._read, self._frames, self._seed, self._workers = read, frames, seed, workers
         self._pool: OwnWorkers | BorrowedExecutor | None = None
         self._so_far = np.zeros(len(hypotheses))
@@ -141,11 +141,11 @@ class SimulatorFilter:
         if self._pool is not None:
             self._pool.close()
 
-    def at_start(self) -> OwnReading:
+    def at_start(self) -> SimulatorReading:
         """Return what is known before the first frame: nothing."""
         return self._reading(np.zeros((1 + self.n_parts, len(self._so_far))), 0.0, 0)
 
-    def read(self, frame: FloatArray) -> OwnReading:
+    def read(self, frame: FloatArray) -> SimulatorReading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad], NaN where unseen.
 
         Raises:
@@ -180,7 +180,7 @@ class SimulatorFilter:
         jobs = list(range(0, n, size))
         dispatch = Dispatch(
             pool,
-            NextFrame.read,
+            FrameJob.read,
             jobs,
             arguments=lambda first: (*given, first, first + size),
             failed=_lost,
@@ -195,10 +195,10 @@ class SimulatorFilter:
         parts = [done[first] for first in jobs]
         return np.concatenate([one for one, _ in parts], axis=1), min(far for _, far in parts)
 
-    def _reading(self, found: FloatArray, far: float, calls: int) -> OwnReading:
+    def _reading(self, found: FloatArray, far: float, calls: int) -> SimulatorReading:
         every = np.full((len(found), *self._read.shape), np.nan)
         every[:, self._read] = found
-        return OwnReading(every[0], every[1:].astype(np.float32), far, calls)
+        return SimulatorReading(every[0], every[1:].astype(np.float32), far, calls)
 
 
 def _lost(first: int, reason: str, error: BaseException | None) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from phase_ppl.closed_loop.next_frame import PARTS, log_density
+from phase_ppl.closed_loop.kernel_density import PARTS, log_density
 from phase_ppl.world.arrays import FloatArray
 
 SCALE = 0.02

@@ -1,36 +1,15 @@
-"""A film's frames as the package would draw them, and the parts that stand still."""
+"""The parts of a film that stand still: floor, walls and landmarks, told by their colours."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-import re
-import subprocess
-import tempfile
-from collections.abc import Generator, Iterator, Sequence
-from pathlib import Path
-from typing import IO, Final
+from collections.abc import Sequence
+from typing import Final
 
-import imageio_ffmpeg
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
 import phase_ppl as ppl
-
-Mask = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-Pixels = NDArray[np.uint8]
-Painter = ppl.render.Painter
-
-MOST_SAMPLES: Final = 16
-_WALL: Final = Painter.wall_pixels
-BLACK: Final = 110  # largest channel of a wall's pixel
-_WIDEST: Final = 1280  # pixels; wider films are made smaller
-_ASPECT: Final = 0.1  # relative deviation of an arena's proportions that is allowed
-_SIDE: Final = 0.9  # share of each side of the border that must be black
-_WHITE: Final = 225
+from phase_films.view import BLACK, WALL, FloatArray, Mask, Pixels
 
 NOBODY: Final = 255  # label of a pixel whose colour belongs to nobody
 _APART: Final = 20.0  # least distance of colours, of 255, that a film can distinguish
@@ -38,175 +17,6 @@ _FAR: Final = 70.0  # distance from a colour beyond which a pixel belongs to nob
 _BITS: Final = 5  # bits of a channel that decide the label
 _SNAP: Final = 0.15  # units within which measured places take the world's values
 _LEAST: Final = 0.5  # share of walls and landmarks of a scene that a film must show
-
-
-class Film:
-    """A video file, decoded by ffmpeg (InvalidEventError: it is missing, or no video)."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path: Path = ppl.files.existing_file(path)
-        self.said = ppl.errors.shown_path(self.path)  # its name in messages
-        self.fps = 0.0  # frames per second, 0 if the file does not say
-        self.samples: list[Image.Image] = []  # evenly spaced, the first frame among them
-        every, self.n_frames = 1, 0
-        for frame in self._decoded():
-            if self.n_frames % every == 0:
-                self.samples.append(frame)
-                if len(self.samples) > MOST_SAMPLES:
-                    self.samples, every = self.samples[::2], 2 * every
-            self.n_frames += 1
-
-    def frames(self, wanted: set[int]) -> Iterator[tuple[int, Image.Image]]:
-        """Yield (number, frame) of the wanted ones, in order."""
-        with contextlib.closing(self._decoded()) as decoded:
-            for number, frame in enumerate(decoded):
-                if number in wanted:
-                    yield number, frame
-                if number >= max(wanted):
-                    return
-
-    def _decoded(self) -> Generator[Image.Image, None, None]:
-        """Yield all frames, and note the frame rate."""
-        options = ["-hide_banner", "-nostats", "-i", str(self.path)]
-        options += ["-f", "image2pipe", "-c:v", "ppm", "-"]
-        some = False
-        with tempfile.TemporaryFile() as said, self._started(options, said) as process:
-            assert process.stdout is not None
-            try:
-                while process.stdout.readline():  # of each picture: its kind, size, depth
-                    width, height = map(int, process.stdout.readline().split())
-                    process.stdout.readline()
-                    data = process.stdout.read(3 * width * height)
-                    if len(data) < 3 * width * height:
-                        break
-                    some, frame = True, Image.frombytes("RGB", (width, height), data)
-                    smaller = _WIDEST, max(1, round(height * _WIDEST / width))
-                    yield frame if width <= _WIDEST else frame.resize(smaller)
-                process.wait()
-            finally:
-                process.kill()
-            said.seek(0)
-            words = said.read().decode(errors="replace")
-        if not some:
-            last = (words.split("\n\n")[0].strip().splitlines() or ["it is empty"])[-1]
-            raise ppl.errors.InvalidEventError(
-                f"{self.said}: not a video that can be read ({last.strip()[:200]})"
-            )
-        rate = re.search(r"Video:.* ([\d.]+) fps", words)
-        self.fps = float(rate[1]) if rate else 0.0
-
-    def _started(self, options: Sequence[str], said: IO[bytes]) -> subprocess.Popen[bytes]:
-        program = "ffmpeg"
-        try:
-            program = imageio_ffmpeg.get_ffmpeg_exe()
-            # Ctrl-C reaches Python only, which then ends it
-            return subprocess.Popen(
-                [program, *options], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said,
-                start_new_session=True,
-            )  # fmt: skip
-        except (OSError, RuntimeError) as error:
-            reason = (isinstance(error, OSError) and error.strerror) or "there is none"
-            raise ppl.errors.InvalidEventError(
-                f"{self.said}: ffmpeg cannot be started ({program}: {reason}): install "
-                "it, or let the environment variable IMAGEIO_FFMPEG_EXE name it"
-            ) from error
-
-
-class View:
-    """Maps a film's frames to frames as the painter would draw them.
-
-    The arena's border, black lines all around, is sought where every sample is black. The film may
-    be larger, smaller, cut or have bars beside it. A pixel of the painter's picture is ``scale``
-    pixels of the film wide.
-    """
-
-    def __init__(self, film: Film, scene: ppl.Scene) -> None:
-        painter = Painter(scene)
-        self._size = painter.size
-        x0, x1, y0, y1 = scene.arena
-        corners = painter.pixel([[x0, y1], [x1, y0]])
-        lightest = np.max([np.asarray(frame).max(axis=2) for frame in film.samples], axis=0)
-        box = _border(lightest < BLACK, corners[1] - corners[0] + _WALL, film, scene)
-        lines = [_lines(lightest.T, box[2:], box[:2]), _lines(lightest, box[:2], box[2:])]
-        ends = np.array(lines).T  # (first and last line, x and y)
-        factor = (ends[1] - ends[0]) / (corners[1] - corners[0])
-        shift = ends[0] - factor * corners[0]
-        self.scale = float(factor.mean())
-        self._affine = (factor[0], 0.0, shift[0], 0.0, factor[1], shift[1])
-        off = np.abs(ends - corners).max()
-        self._is_own = bool(film.samples[0].size == self._size and off < 0.1)
-
-    def __call__(self, frame: Image.Image) -> Pixels:
-        """Return (height, width, 3) a frame as the painter would have drawn it."""
-        if not self._is_own:
-            frame = frame.transform(
-                self._size,
-                Image.Transform.AFFINE,
-                self._affine,
-                Image.Resampling.BICUBIC,
-                fillcolor=Painter.background,
-            )
-        return np.asarray(frame, np.uint8)
-
-
-def _border(
-    black: Mask, size: FloatArray, film: Film, scene: ppl.Scene
-) -> tuple[int, int, int, int]:
-    """Return first and last row and column of the arena's border, the last ones excluded."""
-    marks, _ = ndimage.label(black, np.ones((3, 3)))
-    found = []
-    for number, place in enumerate(ndimage.find_objects(marks), 1):
-        part = marks[place] == number
-        height, width = part.shape
-        if min(height, width) < 20 or abs(width / height * size[1] / size[0] - 1) > _ASPECT:
-            continue
-        thick = max(1, round(width / size[0] * _WALL))
-        sides = part[:thick], part[-thick:], part[:, :thick].T, part[:, -thick:].T
-        if min(side.any(axis=0).mean() for side in sides) >= _SIDE and part.mean() < 0.5:
-            rows, columns = place
-            found.append((height * width, (rows.start, rows.stop, columns.start, columns.stop)))
-    found.sort(reverse=True)
-    if not found:
-        x0, x1, y0, y1 = scene.arena
-        raise ppl.errors.InvalidEventError(
-            f"{film.said}: no arena is found in the picture: expected a black border, "
-            f"{x1 - x0:g} to {y1 - y0:g} in its proportions, as the world {scene.world.name} has it"
-        )
-    if len(found) > 1 and found[1][0] > 0.8 * found[0][0]:
-        raise ppl.errors.InvalidEventError(
-            f"{film.said}: {len(found)} arenas beside each other are in the picture; "
-            "cut out the one that is to be read"
-        )
-    return found[0][1]
-
-
-def _lines(
-    lightest: Pixels, across: tuple[int, int], along: tuple[int, int]
-) -> tuple[float, float]:
-    """Return the positions, across the rows of a picture, of the middles of two border lines.
-
-    A middle is the darkness' centre of mass, in columns where both sides of the line are white.
-    """
-    low, high = across
-    thick = max(1, round((high - low) / 80))  # wide enough to hold the line and its blur
-    inside = slice(along[0] + 2 * thick, max(along[1] - 2 * thick, along[0] + 2 * thick + 1))
-    padded = np.pad(lightest, ((3 * thick, 3 * thick), (0, 0)), constant_values=255)
-
-    def middle(edge: int, inwards: int) -> float:
-        first = edge + inwards * thick
-        band = padded[max(first, 0) : first + 6 * thick, inside].astype(float)
-        dark = np.maximum(255 - band, 0.0)
-        plain = (band[0] > _WHITE) & (band[-1] > _WHITE)
-        dark = np.maximum(BLACK - band, 0.0) if plain.mean() < 0.05 else dark[:, plain]
-        profile = np.median(dark, axis=1)
-        profile[profile < 0.03 * profile.max()] = 0.0
-        places = np.arange(len(profile)) + max(first, 0) - 3 * thick + 0.5
-        return float((profile * places).sum() / profile.sum())
-
-    return middle(low, 1), middle(high, -1)
-
-
-# --- parts that stand still ----------------------------------------------------------------------
 
 
 class Colours:
@@ -220,7 +30,13 @@ class Colours:
         self.names = (*world.entities, *world.landmark_names, "background", "walls")
         marks = (one.colour for one in world.landmarks)
         self.values = np.array(
-            [*world.entity_colours, *marks, Painter.background, Painter.wall_colour], float
+            [
+                *world.entity_colours,
+                *marks,
+                ppl.render.Painter.background,
+                ppl.render.Painter.wall_colour,
+            ],
+            float,
         )
         self._n = len(world.entities)
         for one in range(self._n):
@@ -252,7 +68,9 @@ class Still:
     ``body_colours`` in the film.
     """
 
-    def __init__(self, samples: Sequence[Pixels], colours: Colours, painter: Painter) -> None:
+    def __init__(
+        self, samples: Sequence[Pixels], colours: Colours, painter: ppl.render.Painter
+    ) -> None:
         n = len(painter.scene.world.entities)
         self._painter, self._colours = painter, colours
         total = np.zeros(samples[0].shape)
@@ -316,15 +134,15 @@ class Still:
         black = self._lightest < BLACK
         found = []
         for axis in (0, 1):
-            length = np.ones((2 * _WALL, 1) if axis == 0 else (1, 2 * _WALL), bool)
+            length = np.ones((2 * WALL, 1) if axis == 0 else (1, 2 * WALL), bool)
             marks, _ = ndimage.label(ndimage.binary_opening(black, length))
             for number, place in enumerate(ndimage.find_objects(marks), 1):
                 along, across = place if axis == 0 else place[::-1]
                 thick = (marks[place] == number).sum() / (along.stop - along.start)
-                if thick > 2 * _WALL or self._is_eye(place):
+                if thick > 2 * WALL or self._is_eye(place):
                     continue
                 middle = (across.start + across.stop) / 2
-                ends = along.start + _WALL / 2, along.stop - _WALL / 2
+                ends = along.start + WALL / 2, along.stop - WALL / 2
                 points = [(middle, end) if axis == 0 else (end, middle) for end in ends]
                 found.append(self._snapped(painter.units(points)))
         return np.array(self._inner(found)).reshape(-1, 2, 2)

@@ -264,10 +264,11 @@ def bound(
     prior = as_given(prior)
     scene = place if isinstance(place, Scene) else None
     world = place.world if isinstance(place, Scene) else place
-    kind = BoundPrior if world == PHASE else WorldPrior
+    in_phase = world == PHASE
+    kind = BoundPrior if in_phase else WorldPrior
     if looks_at(prior):
         return _looking(prior, kind, world, scene, observation)
-    if world != PHASE:
+    if not in_phase:
         return kind(prior, role_prior(prior, world), world, arguments=(world,))
     if asked(prior):
         wanted = f"in PHASE one takes none and samples {', '.join(space_of(PHASE).sites)}"
