@@ -115,7 +115,8 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
     ]
 
     def of(answers: list[Any]) -> Any:
-        return np.sqrt(2 * np.var(answers, axis=0))  # (3 - 1) / 3 times the sum of squares
+        # (3 - 1) / 3 times the sum of squares; 1.96 errors cover what 4.303, of Student's t, would
+        return 4.303 / 1.96 * np.sqrt(2 * np.var(answers, axis=0))
 
     found = post.probability(relation="friendly")
     expected = of([alone.probability(relation="friendly") for alone in each])
@@ -124,7 +125,7 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
     assert post.query("P(relation=friendly)").error == found.error
     why = post.why("relation=friendly")
     expected = of([alone.why("relation=friendly")["log_odds"].values for alone in each])
-    np.testing.assert_allclose(why["error"], expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(why["error"], expected, rtol=1e-4, atol=1e-9)
     assert (why["error"].values[1:] > 0).all()
     assert post.query("I(goal_red; goal_green)").error > 0
     assert post.at(0).probability(relation="friendly").error == 0  # nothing was searched yet
