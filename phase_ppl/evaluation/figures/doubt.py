@@ -55,9 +55,10 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
     figure = new_figure(
         *(7.2, 0.7 + 2.15 * len(shown)),
         note="Marks: an answer to a video, circles friendly, squares neutral, triangles "
-        "adversarial; colours: true scenario. Given the truth: less the mean of the videos with "
-        "the same true relation. Right: 95 % intervals; line: halves of "
-        "the people, dashed: of all people, by Spearman and Brown.",
+        "adversarial; colours: true scenario, green collaborative, blue independent, ochre "
+        "competing, red opposing. Given the truth: less the mean of the videos with the same true "
+        "relation. Right: 95 % intervals; lines: r of halves of the people, dashed: of all people, "
+        "estimated by the Spearman-Brown formula.",
     )
     grid = figure.subplots(len(shown), 3, squeeze=False, width_ratios=(1, 1, 0.8))
     scenarios = scenarios_of(results)
