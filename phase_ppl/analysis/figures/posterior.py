@@ -81,17 +81,21 @@ def posterior(
     parts = right.subplot_mosaic([["tracks"] * len(agents), agents], height_ratios=(5.6, 1))
     _tracks(parts["tracks"], post)
     table = post.to_dataframe()
+    bins = np.linspace(
+        STRENGTH_RANGE[0] - 12.5, STRENGTH_RANGE[1] + 12.5, 20
+    )  # levels in the middle
     for agent, name in post.strengths_of.items():
-        axes = parts[agent]
+        axes, mean = parts[agent], post.mean(name)
         axes.hist(
             np.clip(table[name], *STRENGTH_RANGE),
-            bins=np.linspace(*STRENGTH_RANGE, 19).tolist(),
+            bins=bins.tolist(),
             weights=table["weight"],
             color=line_colour(world, world.agent(agent)),
         )
-        axes.set(xlim=STRENGTH_RANGE, xticks=[150, 300, 450, 600], yticks=[])
+        axes.set(xlim=(bins[0], bins[-1]), xticks=[150, 300, 450, 600], yticks=[])
         axes.set_xlabel("strength [N]")
-        axes.set_title(f"{agent}: {post.mean(name)} N", fontsize=NORMAL)
+        told = f"{mean:.3g}" if np.isnan(mean.error) else mean
+        axes.set_title(f"{agent}: {told} N", fontsize=NORMAL)
         axes.spines["left"].set_visible(False)
     lettered = [panels[0], *panels[len(agents) :], parts["tracks"], parts[agents[0]]]
     for letter, axes in zip("abcd", lettered, strict=False):
