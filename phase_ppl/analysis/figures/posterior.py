@@ -81,9 +81,8 @@ def posterior(
     parts = right.subplot_mosaic([["tracks"] * len(agents), agents], height_ratios=(5.6, 1))
     _tracks(parts["tracks"], post)
     table = post.to_dataframe()
-    bins = np.linspace(
-        STRENGTH_RANGE[0] - 12.5, STRENGTH_RANGE[1] + 12.5, 20
-    )  # levels in the middle
+    # usual levels are in the middle of a bin
+    bins = np.linspace(STRENGTH_RANGE[0] - 12.5, STRENGTH_RANGE[1] + 12.5, 20)
     for agent, name in post.strengths_of.items():
         axes, mean = parts[agent], post.mean(name)
         axes.hist(
