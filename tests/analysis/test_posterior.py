@@ -287,7 +287,7 @@ def test_definitions_that_cannot_be_raise_and_name_the_hypothesis(small: Posteri
     cases: tuple[tuple[Any, Any, str], ...] = (
         ("relation", lambda h: True, "'relation' already"),
         ("same goal", lambda h: True, "'same goal'"),
-        ("in", lambda h: True, "Python variable"),
+        ("in", lambda h: True, "valid Python name"),
         ("given", lambda h: True, "reserved"),
         (3, lambda h: True, "called 3"),
         ("x", 3, "expected a function"),
