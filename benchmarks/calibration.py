@@ -2,10 +2,12 @@
 
     python benchmarks/calibration.py [--kernel NAME] [--events N] [--json FILE] [--figure FILE]
     python benchmarks/calibration.py --closed-loop [--weight W] [--frames N] [--out FOLDER]
+    python benchmarks/calibration.py --simple [--frames N] [--out FOLDER]
 
 ``ppl.calibrate`` with a kernel on the tests' fast simulator, whose agents walk to their goals, and
-informative noise. Kernels with weighted draws are refused. Or with the closed loop, on videos of
-the joint simulator in random scenes. ``--out`` continues what is in the folder.
+informative noise. Kernels with weighted draws are refused. Or with the closed loop or SIMPLE as it
+is by default, on videos of the joint simulator in random scenes. ``--out`` continues what is in the
+folder.
 """
 
 from __future__ import annotations
@@ -34,8 +36,9 @@ def main() -> None:
     parser.add_argument("--kernel", default="local_mh", choices=ranked_kernels())
     parser.add_argument("--rule", help="rule of local_mh: exact or paper")
     parser.add_argument("--closed-loop", action="store_true")
+    parser.add_argument("--simple", action="store_true")
     parser.add_argument("--weight", type=float, help="what a frame counts in the closed loop")
-    parser.add_argument("--frames", type=int, help="by default 12, of the closed loop 31")
+    parser.add_argument("--frames", type=int, help="by default 31, of the fast simulator 12")
     parser.add_argument("--events", type=int, default=200)
     parser.add_argument("--iterations", type=int, default=200)
     parser.add_argument("--out", metavar="FOLDER")
@@ -46,6 +49,9 @@ def main() -> None:
         likelihood = ppl.StepwiseLikelihood(weight=options.weight)
         model = ppl.Model(likelihood=likelihood)
         found = ppl.calibrate(model, options.events, frames=options.frames or 31, **how)
+    elif options.simple:
+        how["kernel"] = "local_mh"
+        found = ppl.calibrate(ppl.Model(), options.events, frames=options.frames or 31, **how)
     else:
         model = ppl.Model(simulator=walkers, likelihood=ppl.RadialLikelihood(BETA))
         rule = {} if options.rule is None else {"rule": options.rule}
