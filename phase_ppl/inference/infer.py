@@ -261,7 +261,7 @@ def resume(
         simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: continue with other versions. The attributes ``versions`` and
             ``earlier_versions`` of the posterior's tree keep both.
-        settings, **kernel_options: needed if they hold functions or other objects that are no JSON.
+        settings, **kernel_options: needed unless they are numbers, strings and the like.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.

@@ -192,7 +192,7 @@ UNKNOWN: dict[str, Any] = {
 TO_RED_AT_ALL, IN_A_GAP = {"goal_red": TO_RED}, {"strength_red": (500, 550)}
 BOTH = {"goal_red": TO_GREEN, "relation": "friendly"}
 IMPOSSIBLE: dict[str, Any] = {
-    "no draw of this posterior has it": lambda post: post.probability(TO_RED_AT_ALL, relation="friendly"),
+    "no draw of this posterior": lambda post: post.probability(TO_RED_AT_ALL, relation="friendly"),
     "where goal_red is 'Get blue item to red lm', 'get to green agent'$": (
         lambda post: post.marginal("relation", given=TO_RED_AT_ALL)
     ),
