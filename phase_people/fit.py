@@ -46,7 +46,7 @@ _REMEMBERED: Final = 4  # cached samplers, so that observers fitted in turn comp
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FittedObserver:
-    """An observer with draws of its parameters; it predicts people's answers.
+    """An observer with posterior draws of its parameters; it predicts people's answers.
 
     Attributes:
         observer: the program.

@@ -101,7 +101,7 @@ class Comparison(Printed):
     def reference_error(self, measure: str = "tv_goals") -> float | None:
         """Return the distance between halves of the reference; None: not known.
 
-        The reference's own error is smaller than this in some nine of ten cases.
+        The reference's error is smaller than this distance in some nine of ten cases.
 
         Raises:
             UnknownNameError: ``measure`` is none of :data:`DISTANCES`.
@@ -114,8 +114,8 @@ class Comparison(Printed):
         """Return the ranks of kernels by distance from the reference, with their uncertainty.
 
         Two kernels are told apart if their mean distances differ by more than a margin: the
-        reference's own error plus two standard errors of the difference over repeats. With a single
-        repeat, or a reference of unknown error, none are told apart.
+        distance between the reference's halves plus two standard errors of the difference over
+        repeats. With a single repeat, or without halves, none are told apart.
 
         Args:
             measure: of :data:`DISTANCES`.
@@ -208,9 +208,9 @@ class Comparison(Printed):
             return "which is exact"
         known = [f"{MEASURES[n]} {e:.2f}" for n, e in errors.items() if e is not None and e == e]
         if not known:
-            return "its own error is not known, so kernels are not ranked by it"
+            return "the distance between its halves is not known, so kernels are not ranked"
         return (
-            f"its own error: {', '.join(known)} between halves of it\n"
+            f"distance between its halves: {', '.join(known)}\n"
             "kernels share a rank unless they differ by more than this plus two standard errors"
         )
 

@@ -496,7 +496,8 @@ class Hypotheses(Printed):
 
     def _why_impossible(self, given: Conditions) -> str:
         """Return why nothing can be conditioned on ``given``, and what could be instead."""
-        why, weights = "it has probability 0 in this posterior", self._rows.weights
+        is_sampled, weights = not math.isnan(self._effective_size), self._rows.weights
+        why = "no draw of this posterior has it" if is_sampled else "its probability here is 0"
         for holds, name, *_ in given.clauses:
             if weights[holds(self._rows.values)].sum() > 0:
                 continue
@@ -511,7 +512,7 @@ class Hypotheses(Printed):
             listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
             more = len(likely) - _LISTED
             return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
-        return f"{why}, though each of these alone has more"
+        return f"{why}, though each of these alone is possible"
 
     def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
         """Return what errors come from; ``share`` is that of the chains that are left out."""
@@ -624,7 +625,7 @@ class Hypotheses(Printed):
 
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     if not names:
-        raise InvalidSettingError("name a quantity, as in joint('goal_red', 'goal_green')")
+        raise InvalidSettingError("name at least one quantity, such as 'goal_red'")
     for place, name in enumerate(names):
         if name in names[:place]:
             raise InvalidSettingError(f"{name!r} is named twice: expected different quantities")

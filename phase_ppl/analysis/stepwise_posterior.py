@@ -280,7 +280,8 @@ class StepwisePosterior(EventPosterior):
         Log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight`` of the
         likelihood. Only evidence for strengths stays tempered (``Tracking.strength_weight``). Of
         two priors, or two models with the same tracking, the one with the higher log evidence
-        explains the video better. If they differ in strengths, the true difference is larger.
+        explains the video better. If priors differ in strengths, do not compare them by it.
+        Where the model errs, it errs for many frames in a row: differences tend to be too large.
         Its error is by the jackknife over sets of searches; NaN: there is one.
         """
         return self._table.log_evidence(self._frame)

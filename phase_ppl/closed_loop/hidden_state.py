@@ -128,7 +128,7 @@ class Tracking:
 
     Attributes:
         strengths: newtons that each agent may have, ascending.
-        states: places in the beam, beside the best state of every combination of strengths.
+        states: states kept, in addition to the best one of each combination of strengths.
         strength_weight: what a frame counts as evidence for strengths; below 1 it is tempered.
         scale: of the distance of an entity from where the right action would have put it, units;
             noise of the observation adds to it.

@@ -97,12 +97,12 @@ def evaluate(
     """Ask a model of social perception about many events, and score its answers.
 
     The model gets each event's scene and observation and a seed, nothing else. Longest events
-    come first. If the model fails at an event, ``failures`` reports it and the rest goes on. The
-    exception is a setting of a model given by name that fails before anything has succeeded. If a
-    worker process dies, its event is tried once more.
+    come first. If the model fails at an event, ``failures`` reports it and the rest goes on.
+    A bad setting of a named model is raised at once. If a worker process dies, its event is tried
+    once more.
 
-    Where people judged at moments of a film, a posterior is read at the frame of each. A model
-    without one is asked again about the film until then.
+    Where people judged at moments of a film, a posterior is read at the frame of each moment. A
+    model without a posterior is asked about the film cut at that frame.
 
     The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
     results do not depend on the number of workers, nor on order and choice of events.
@@ -128,7 +128,7 @@ def evaluate(
             predicted again, failed ones are. Settings and events must be the same. More events may
             follow them; truth and judgments may have changed.
         split: only the events of that split of a generated data set, such as "test".
-        limit: only the first ``limit`` events.
+        limit: only the first ``limit`` events, in the order given.
         seed: a whole number >= 0.
         judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
             place of those in the events.

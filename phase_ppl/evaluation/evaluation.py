@@ -316,8 +316,8 @@ def cost_of(
 def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
     """Return the answers of a reference model as if it had been evaluated on the events.
 
-    It has no seed, nothing was timed, and there is no folder. Events without an answer of the
-    model are in ``failures``.
+    The result has no seed, no times and no folder. Events without an answer of the model are in
+    ``failures``.
 
     Args:
         events: with their predictions (:mod:`phase_ppl.evaluation.prediction`).

@@ -466,7 +466,9 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
     for name in given:
         check_name("field", name, _FIELDS if own else (*_SHORT, *_FIELDS))
     if given.get("event", event_id) != event_id:
-        raise InvalidEventError(f"is of the event {shown(given['event'])}")
+        raise InvalidEventError(
+            f"names the event {shown(given['event'])}, expected {shown(event_id)}"
+        )
     if not own:
         answers, shares = (per_agent(f, given.pop(f, None), world) for f in ("goals", "goal_probs"))
         if "relation" in given:

@@ -116,8 +116,8 @@ def compare(
             another kernel, as in ``kernels``. That kernel's options may have a ``budget`` or
             ``iterations``; by default it has ten times the budget. The default is enumeration if
             ten times the budget suffices, else four populations of ``smc`` that share that budget.
-            If ``smc`` is compared, there is then none. The reference's own error is measured and
-            printed; kernels are not ranked within it.
+            If ``smc`` is compared, there is then none. The distance between the reference's halves
+            is printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
         settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
             If proposals need a reading of the video, its time counts, also if it was read before.

@@ -82,10 +82,10 @@ def infer(
     closed loop, ``infer(infer(event), kernel="smc")``. Nothing is then simulated or read again, and
     the exact answer is known, so this tests the kernel.
 
-    If a run of simulations is too short for counting draws, all simulations are weighed. Untried
-    rivals of the leading goals are simulated first: those in which one agent wants the same thing
-    at another landmark. This takes one simulation or a few more per particle. It is left out if
-    there is a ``budget`` or all rivals were tried. The draws stay as they are.
+    In a run of fewer than 20 iterations, all simulations are weighed. Untried rivals of the leading
+    goals are simulated first: those in which one agent wants the same thing at another landmark.
+    This takes one simulation or a few more per particle. It is left out if there is a ``budget`` or
+    all rivals were tried. The draws stay as they are.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
     depend on ``seed``, not on the number of workers.
@@ -110,7 +110,8 @@ def infer(
         iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
             loop.
         seed: a whole number >= 0.
-        planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
+        planner: "fast" (the default), "paper" or a ``PlannerConfig``, of the package's own
+            simulator.
         workers: processes, or threads of the closed loop; by default one per usable core. With an
             ``executor``, how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
@@ -119,8 +120,8 @@ def infer(
             simulations were run, the initial ones included; the last iteration may exceed n.
             ``phase_ppl.frames(n)``: the same for simulated frames; simulations stopped early take
             fewer. Both also end after 100 iterations in a row without a simulation.
-            ``phase_ppl.seconds(n)``: as many iterations as are expected to end in time, possibly
-            none after the initial particles.
+            ``phase_ppl.seconds(n)``: as many iterations as are expected to end within n seconds by
+            the clock, possibly none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
         retries: of "retry"; by default 3.
         simulation_seconds: longest time of a simulation before it fails; by default unlimited. With
@@ -143,7 +144,8 @@ def infer(
         SimulationError: all initial simulations failed; or one failed, with "raise".
         Interrupted, StepwiseInterrupted: Ctrl-C.
 
-    The last two, and any other error that ends a run, carry the results so far as ``posterior``.
+    SimulationError, Interrupted, StepwiseInterrupted and any other error that ends a run carry the
+    results so far as ``posterior``.
     It is None if the initial particles were not complete.
     """
     of_sampling: dict[str, Any] = {
@@ -259,7 +261,7 @@ def resume(
         simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: continue with other versions. The attributes ``versions`` and
             ``earlier_versions`` of the posterior's tree keep both.
-        settings, **kernel_options: optional if they are plain data, else needed.
+        settings, **kernel_options: needed unless they are numbers, strings and the like.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.

@@ -201,7 +201,7 @@ def test_kernels_are_ranked_as_far_as_the_reference_can_tell() -> None:
     assert places(made_up(three, error=0.5)) == dict.fromkeys(three, (1, 3))
     printed = str(made_up(three, error=0.2))
     assert "rank by TV goals: 1 to 2: near, middle; 3: far" in printed
-    assert "its own error: TV goals 0.20" in printed
+    assert "distance between its halves: TV goals 0.20" in printed
     assert "not told apart by this reference: near, middle, far" in str(made_up(three, error=0.5))
     # one between two that differ shares a rank with both
     c = made_up({**three, "far": 0.4}, error=0.13)
@@ -221,7 +221,7 @@ def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() 
     assert places(made_up(two, repeats=1, error=0.01)) == dict.fromkeys(two, (1, 2))
     assert "not told apart by a single run" in str(made_up(two, repeats=1, error=0.01))
     assert places(made_up(two)) == dict.fromkeys(two, (1, 2))
-    assert "error is not known" in str(made_up(two))
+    assert "between its halves is not known" in str(made_up(two))
     with pytest.raises(UnknownNameError, match="tv_goals"):
         made_up(two).ranks("p_goals")
 

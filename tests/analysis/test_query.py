@@ -129,7 +129,7 @@ WRONG = {
     "P(strength_red in [400, 300])": (19, "lower end comes first"),
     "P(strength_red > 400, strength_red < 300)": (22, "no value of strength_red"),
     "P(mood='keen)": (13, "a closing '"),
-    "P(relation=friendly | goal_red=Get pink item to red lm)": (22, "probability 0"),
+    "P(relation=friendly | goal_red=Get pink item to red lm)": (22, "no draw of this"),
     "E(goal_red)": (2, "has categories"),
     "E[strength_red, strength_green]": (14, "'|' or ']'"),
     "hdi 94 strength_red": (4, "a share in (0, 1]"),

@@ -100,7 +100,10 @@ def test_bad_errors_are_refused() -> None:
         ({"relation_probs": [1, 0, 0]}, "relation is .1, 0, 0., expected answers with numbers"),
         ({"relation_probs": {"friendly": "1"}}, "'friendly' has '1', expected a number"),
         ({"answers": {}, "relation": "friendly"}, "unknown field 'relation'"),
-        ({"event": "z", "answers": {"relation": "friendly"}}, "is of the event 'z'"),
+        (
+            {"event": "z", "answers": {"relation": "friendly"}},
+            "names the event 'z', expected 'film 7'",
+        ),
         ({"probabilities": [0.1, 0.2, 0.7]}, "probabilities of a prediction is .*an object"),
     ],
 )

@@ -60,8 +60,8 @@ def comparison(
     With a budget of frames the axis is frames. Lines are means over repeats, bands their standard
     errors. A kernel that keeps its last population only is a point with a bar. A dashed line is the
     reference's own probability of the truth. Distances in the grey area at the bottom are smaller
-    than the reference's own error. ``measures`` are of :data:`HEADINGS`, one panel each; those
-    without values are left out.
+    than the distance between the reference's halves. ``measures`` are of :data:`HEADINGS`, one
+    panel each; those without values are left out.
 
     Raises:
         UnknownNameError: there is no such measure.
@@ -94,7 +94,7 @@ def _compared(axes: Axes, c: Comparison, name: str) -> None:
     own_error = c.reference_error(name) if name in DISTANCES else None
     if own_error is not None:
         axes.axhspan(0, own_error, color="#eeeeee", lw=0, zorder=0)
-        note = "within the reference's own error"
+        note = "within the distance between the reference's halves"
         axes.text(0.015, 0.02, note, transform=axes.transAxes, color=GREY)
     reference = c.settings["reference"].get("truth", {}).get(name)
     if reference is not None:
