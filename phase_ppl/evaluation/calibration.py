@@ -333,7 +333,7 @@ def calibrate(
             tempering = said.get("", {}).get("tempering", "")
             if "tempered" in tempering:
                 notes.append(
-                    f"{tempering.capitalize()}, so less sure than it should be is expected"
+                    f"{tempering.capitalize()}; this alone makes answers too unsure"
                 )
     if out is None:
         evaluation = dataclasses.replace(evaluation, folder=None)
