@@ -450,7 +450,7 @@ def _separate(
             break
 
 
-@bare_kernel
+@inlined_kernel
 def solve(
     bodies: FloatArray,
     held: IntArray,

@@ -11,11 +11,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import gc
 import hashlib
 import pickle
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -27,6 +28,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
+from numba.core.typing import Context
 
 from phase_ppl.world.identity import source_stamp
 
@@ -186,15 +188,10 @@ class _Flags(Flags):
     def copy(self) -> _Flags:
         return self
 
-    @functools.cached_property
-    def _hash(self) -> int:
-        return super().__hash__()
-
     def __eq__(self, other: object) -> bool:
-        return self is other or super().__eq__(other)
+        return self is other if isinstance(other, _Flags) else super().__eq__(other)
 
-    def __hash__(self) -> int:
-        return self._hash
+    __hash__ = object.__hash__
 
 
 @functools.cache
@@ -203,6 +200,40 @@ def _shared(flags: Flags) -> _Flags:
     found = _Flags()
     found._values.update(flags._values)
     return found
+
+
+class _Typing(Context):
+    """numba's types of calls, remembered: it looks each call up anew, at least twice a kernel."""
+
+    def __init__(self, whole: Context) -> None:
+        self.__dict__ = whole.__dict__
+        self._known: dict[Any, Any] = {}
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        """Return the signature of a call; None: there is none."""
+        if not isinstance(func, types.Function):
+            return super().resolve_function_type(func, args, kws)
+        key = func, args, tuple(dict(kws).items())
+        if key not in self._known:
+            if (found := super().resolve_function_type(func, args, kws)) is None:
+                return None
+            self._known[key] = found
+        return self._known[key]
+
+
+_remembering: Final = functools.cache(_Typing)
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """Do not look for garbage: compilers make many objects, and need nearly all until they end."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 _UNNEEDED: Final = {
@@ -227,9 +258,14 @@ class _WholeCompiler(Compiler):
     def __init__(
         self, typing: Any, target: Any, library: Any, args: Any, returns: Any, flags: Any, own: Any
     ) -> None:
+        typing = _remembering(typing)
         super().__init__(typing, target, library, args, returns, _shared(flags), own)
         self.state.library = self.library(self.state.targetctx.codegen(), self.library.__name__)
         self.state.library.enable_object_caching()
+
+    def _compile_bytecode(self) -> Any:
+        with uncollected():
+            return super()._compile_bytecode()
 
 
 class _PartCompiler(_WholeCompiler):
@@ -337,7 +373,7 @@ def bare_kernel(function: Function) -> Function:
     the arithmetic. A function without counts cannot allocate, which rules out slice-to-slice copies
     too (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
     """
-    return _compiled(function, _nrt=False)
+    return _compiled(function, _nrt=False, forceinline=False)
 
 
 def inlined_kernel(function: Function) -> Function:
