@@ -332,9 +332,7 @@ def calibrate(
             rows += _ranked(events[place], prediction, said, rng)
             tempering = said.get("", {}).get("tempering", "")
             if "tempered" in tempering:
-                notes.append(
-                    f"{tempering.capitalize()}; this alone makes answers too unsure"
-                )
+                notes.append(f"{tempering.capitalize()}; this alone makes answers too unsure")
     if out is None:
         evaluation = dataclasses.replace(evaluation, folder=None)
     found = Calibration(

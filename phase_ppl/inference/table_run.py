@@ -77,6 +77,7 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
         InvalidSettingError: the prior is a user's own, which a file cannot hold; or the given model
             simulates, or reads the video in another way.
     """
+    from phase_ppl.closed_loop.hidden_state import Tracking
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     if model is None:
@@ -104,7 +105,10 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
                 f"{name}={shown(value)}: on a result of the closed loop a model can change the "
                 "prior only, infer(post, Model(prior=...), kernel=...)"
             )
-    likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
+    if now is None:  # an older file does not say
+        likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
+    else:
+        likelihood = StepwiseLikelihood(**{**now, "tracking": Tracking(**now["tracking"])})
     return Model(read.bound(model.prior), likelihood=likelihood)
 
 

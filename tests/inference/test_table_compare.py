@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,16 @@ def test_a_run_of_a_comparison_is_one_of_infer() -> None:
     assert distances(marginals(post), marginals(EXACT))["tv_goals"] == pytest.approx(
         row["tv_goals"], abs=1e-9
     )
+
+
+@pytest.mark.parametrize("likelihood", [None, ppl.StepwiseLikelihood(planner_seeds=1)])
+def test_what_was_read_with_other_settings_is_compared(likelihood: Any) -> None:
+    how = {**ppl.StepwiseLikelihood(planner_seeds=1).to_dict(), "weight": 0.2}
+    settings = json.dumps({**EXACT.settings, "likelihood": how})
+    read = StepwisePosterior(EXACT.dataset.assign_attrs(settings=settings), prior=EXACT.prior)
+    model = None if likelihood is None else ppl.Model(likelihood=likelihood)
+    found = ppl.compare(read, model, **{**COMPARED, "kernels": ["prior_mh"], "repeats": 1})
+    assert found.runs["tv_goals"][0] < 0.15
 
 
 def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:
