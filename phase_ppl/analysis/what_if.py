@@ -26,7 +26,6 @@ from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
-    check_name,
     instance_of,
     number_of_workers,
     positive_number,
@@ -36,7 +35,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true, planned_as
-from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_strength
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, checked_strength, towards_whom
 from phase_ppl.world.names import Literal, PredicateKind
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
@@ -264,10 +263,7 @@ class Change:
                 known = (*space.goal_sites, *space.stated_sites, *space.strength_sites)
                 raise unknown_name("quantity to change", name, known)
         if relation is not None:
-            towards: list[tuple[int, int] | None] = [None] * space.n_agents
-            for (who, whom), word in relation.items():
-                check_name("relation", word, STANCES)
-                towards[world.agent(who)] = world.agent(whom), STANCES[word]
+            towards = towards_whom(relation, world)
             if tuple(towards) not in space.ways:
                 raise InvalidSettingError(
                     f"relation={shown(dict(relation))}: whom one helps or hinders must be another "

@@ -164,6 +164,33 @@ def _argument_names(world: World) -> tuple[str, ...]:
     return names if world == PHASE else ()
 
 
+def towards_whom(
+    relation: Mapping[tuple[str, str], str], world: World
+) -> list[tuple[int, int] | None]:
+    """Return by agent whom it helps (1) or hinders (-1); None: nobody.
+
+    Raises:
+        UnknownNameError: there is no such agent or word.
+        InvalidSettingError: it is not (who, whom) -> "help" or "hinder", or an agent has more than
+            one relation, or one to itself.
+    """
+    pair = world.agents[:2] if len(world.agents) > 1 else ("who", "whom")
+    form = f"{{{pair!r}: 'help'}} or 'hinder'; {{}}: nobody helps or hinders"
+    instance_of("relation", relation, Mapping, form)
+    towards: list[tuple[int, int] | None] = [None] * len(world.agents)
+    for pair, word in relation.items():
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise InvalidSettingError(f"relation of {shown(pair)}, expected {form}")
+        who, whom = (world.agent(name) for name in pair)
+        if who == whom:
+            raise InvalidSettingError(f"the {pair[0]} cannot {word} itself")
+        check_name("relation", word, STANCES)
+        if towards[who] is not None:
+            raise InvalidSettingError(f"the {pair[0]} can help or hinder one other only")
+        towards[who] = whom, STANCES[word]
+    return towards
+
+
 @dataclasses.dataclass(frozen=True, repr=False, init=False)
 class Hypothesis(Printed):
     """Who wants what, whom each helps or hinders, and how strong all are.
@@ -266,19 +293,7 @@ class Hypothesis(Printed):
                     f"the goal {world.goals[index]!r} of the {name} names the {name} itself"
                 )
             stated[agent] = index
-        towards: list[tuple[int, int] | None] = [None] * len(agents)
-        told = {} if relation is None else relation
-        instance_of("relation", told, Mapping, "a mapping of (who, whom) to 'help' or 'hinder'")
-        for pair, word in told.items():
-            if not isinstance(pair, tuple) or len(pair) != 2:
-                raise InvalidSettingError(f"relation of {shown(pair)}, expected (who, whom)")
-            who, whom = (world.agent(name) for name in pair)
-            if who == whom:
-                raise InvalidSettingError(f"the {pair[0]} cannot {word} itself")
-            check_name("relation", word, STANCES)
-            if towards[who] is not None:
-                raise InvalidSettingError(f"the {pair[0]} can help or hinder one other only")
-            towards[who] = whom, STANCES[word]
+        towards = towards_whom({} if relation is None else relation, world)
         for agent, name in enumerate(agents):
             other = towards[agent]
             if other is None and stated[agent] is None:

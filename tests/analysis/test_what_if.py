@@ -302,7 +302,9 @@ def test_what_a_world_does_not_have_is_refused() -> None:
         ({"strength_red": -1}, "strength_red=-1"),
         ({"remove": "dog"}, "unknown entity 'dog'; allowed: 'red agent'"),
         ({"alpha": (0, 0)}, "expected relation= in the world three"),
-        ({"relation": {("red agent", "red agent"): "help"}}, "another agent"),
+        ({"relation": {("red agent", "red agent"): "help"}}, "cannot help itself"),
+        ({"relation": "friendly"}, "'friendly', expected {.*: 'help'}"),
+        ({"relation": {"red agent": "help"}}, "relation of 'red agent', expected {"),
         ({"relation": {two: "love"}}, "allowed: 'help', 'hinder'"),
         ({"relation": dict.fromkeys((two, two[::-1]), "help")}, "a goal of its own"),
     )

@@ -265,7 +265,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 ]  # fmt: skip
 WRONG_USE: list[tuple[Callable[[], object], str]] = [
     (lambda: Hypothesis.of(house(), {"red agent": "ball to home"}, "help"),  # type: ignore[arg-type]
-     "relation='help', expected a mapping of (who, whom) to 'help' or 'hinder'"),
+     "relation='help', expected {('red agent', 'green agent'): 'help'} or 'hinder'"),
     (lambda: house().goal_index("bell to home"),
      "unknown goal 'bell to home'; did you mean 'Get ball to home'"),
     (lambda: SOLO.goal_index("get to red agent"), "unknown goal"),
