@@ -28,13 +28,13 @@ SLIPPED: Final = 500.0
 _TITLE: Final = "# Export of a study"
 _REHEARSAL: Final = (
     "A rehearsal: these are no people. Participants are scripted, and their names begin with "
-    f"`{ppl.Judgments.SCRIPTED}`, in all files."
+    f"`{ppl.Judgments.SCRIPTED}`, in all files; judgments are marked in a column, too."
 )
 INCLUDE: Final = ("unfinished", "excluded", "flagged")
 """People who can be exported beside those who finished; flagged ones are, unless left out."""
 
 _VIEWING: Final = {
-    "participant": "a random number, the same in all rows of one person",
+    "participant": "name of a participant, the same in all rows of one person",
     "video": "id of the event in events.json",
 }
 _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
@@ -57,7 +57,7 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "response_time": "seconds from when the page was shown until it was answered",
     },
     "participants.csv": {
-        "participant": "a random number",
+        "participant": "name of the participant, made at random",
         "group": "of a study with groups: which videos were seen",
         "outcome": "finished, declined, quiz_failed, expired, or left: came and went",
         "minutes": "from consent to the last answer",
@@ -109,8 +109,8 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
 """Table -> column -> meaning; :func:`_columns` has those of judgments."""
 
 
-def _columns(settings: Settings) -> dict[str, Mapping[str, str]]:
-    """Return table -> column -> meaning, for a study with some settings."""
+def _columns(settings: Settings, scripted: bool) -> dict[str, Mapping[str, str]]:
+    """Return table -> column -> meaning, for a study with some settings, or its rehearsal."""
     world, said = settings.world, dict[str, str]()
     pairs = ppl.pairs_of(world)
     for question, agent in zip(ppl.questions_of(world), world.agents, strict=False):
@@ -128,6 +128,8 @@ def _columns(settings: Settings) -> dict[str, Mapping[str, str]]:
     if settings.moments:
         said["at"] = "seconds of the film at which it had stopped; empty: it was seen to its end"
     last = {"response_time": _COLUMNS["viewings.csv"]["response_time"]}
+    if scripted:
+        last["rehearsal"] = "true: the participant was scripted"
     return {"judgments.csv": {**_VIEWING, **said, **last}, **_COLUMNS}
 
 
@@ -149,7 +151,9 @@ class Status:
         width = max(map(len, self.counts))
         lines = [f"{name:<{width}}  {n}" for name, n in self.counts.items()]
         fewest, most = min(self.viewings.values()), max(self.viewings.values())
-        lines += ["", f"{len(self.viewings)} videos or scenes, each seen {fewest} to {most} times"]
+        often = f"{most}" if fewest == most else f"{fewest} to {most}"
+        times = f"{often} time{'s' * (most != 1)}"
+        lines += ["", f"{len(self.viewings)} videos or scenes, each seen {times}"]
         return "\n".join(lines)
 
 
@@ -247,7 +251,7 @@ def write(
             "steps.csv": "what was done and pressed, from which trajectories follow bit for bit",
         }
     for name, rows in tables.items():
-        columns = list(_columns(settings)[name])
+        columns = list(_columns(settings, store.scripted)[name])
         cells = ([row[column] for column in columns] for row in rows)
         ppl.files.write_bytes(out / name, (".csv",), _csv_bytes(columns, cells))
     readme = _readme(store, settings, len(included), include, files, _totals(asked))
@@ -305,6 +309,7 @@ def _viewings(store: Store) -> list[dict[str, Any]]:
     )
     for row in found:
         row |= json.loads(row["answers"])
+        row["rehearsal"] = str(store.scripted).lower()
         row["first_end"] = _number(row["first_end_ms"], 1000)
         row["response_time"] = _number(row["rt_ms"], 1000)
     return found
@@ -448,7 +453,7 @@ def _readme(
     store: Store, settings: Settings, n: int, include: Sequence[str],
     files: Mapping[str, str], totals: str,
 ) -> str:  # fmt: skip
-    kind, columns = settings.kind, _columns(settings)
+    kind, columns = settings.kind, _columns(settings, store.scripted)
     lines = [
         f"{_TITLE} of {kind}: {settings.title}", "",
         *([f"**{_REHEARSAL}**", ""] if store.scripted else []),
@@ -458,7 +463,7 @@ def _readme(
         *(f"| {name} | {count} |" for name, count in status(store, settings).counts.items()),
         f"| **in the tables** | {n} |", "",
         f"In the tables are those who finished{_others(include)}. Those who withdrew are in none. "
-        "Everybody is under a random number; no address, name or platform's id was ever stored.",
+        "Names of participants are made at random; no address, name or platform's id was stored.",
         "", f"Age and gender of those in the tables: {totals}.", "",
         "## Files", "",
     ]  # fmt: skip

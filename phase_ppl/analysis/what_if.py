@@ -7,6 +7,7 @@ import functools
 import math
 import os
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
@@ -46,6 +47,7 @@ _BY_CHANCE: Final = 0.05
 """Significance level of the sign test of the pairs (two-sided p)."""
 
 _FEWEST: Final = 2
+_SHOWN: Final = 3  # goals of an agent that are printed
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -165,7 +167,8 @@ class WhatIf(Printed):
         beside: dict[str, Any] = {}
         if others:
             beside = {"compare": others[0], "compare_scene": self.scenes[-1]}
-            beside["captions"] = (WORLDS[0], self.change)
+            which = f"simulation {simulation} of 0 to {len(self.goals) - 1}"
+            beside["captions"] = (f"{which}, {WORLDS[0]}", self.change)
         return video(first, path, self.scenes[0], **beside)
 
     def __str__(self) -> str:
@@ -176,8 +179,19 @@ class WhatIf(Printed):
             f"{self.begin / FRAMES_PER_SECOND:.1f} s on (simulated time)"
         ]
         there = [one for n, one in enumerate(self.world.agents) if n not in self.removed]
-        lines += [f"the {agent} reaches its goal: {self._told(agent)}" for agent in there]
+        its = "its goal" if len(self.scenes) == 1 else "its unchanged goal"
+        lines += [f"the {one} reaches {its}{self._goals(one)}: {self._told(one)}" for one in there]
         return "\n".join(textwrap.fill(line, 88, subsequent_indent="  ") for line in lines)
+
+    def _goals(self, agent: str) -> str:
+        """Return an agent's unchanged goals, and in how many simulations, if there are several."""
+        held = Counter(row[self.world.agent(agent)] for row in self.goals).most_common()
+        names = [self.world.goals[goal] for goal, _ in held]
+        if len(held) == 1:
+            return f" ({names[0]})"
+        listed = [f"{name} in {n}" for name, (_, n) in zip(names[:_SHOWN], held, strict=False)]
+        more = f", {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
+        return f" (which differs between simulations: {', '.join(listed)}{more})"
 
     def _told(self, agent: str) -> str:
         seconds = self.reached(agent).values

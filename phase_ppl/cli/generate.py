@@ -25,8 +25,8 @@ def generate(options: Options) -> int:
     Args:
         --n N: events, of PHASE in the paper's proportions
         | --preset NAME: phase500, the paper's 500 events; default
-        | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; may be given
-            several times; $FILE, which registers it
+        | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; hinder=6 has
+            as many of each variant; may be given several times; $FILE, which registers it
         --out DIR: required
         --world NAME: $WORLDS; other worlds than PHASE without --cell, and all with --prior, give
             random scenes; $FILE

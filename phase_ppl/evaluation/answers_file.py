@@ -47,6 +47,9 @@ _NOT_AVAILABLE: Final = frozenset(
 )
 """Texts that R, pandas, spreadsheets, statistics programs and JSON write for missing values."""
 
+_MARKED: Final = ("true", "1", "yes")
+_NOT_MARKED: Final = ("false", "0", "no", "")
+
 _INDEX: Final = re.compile(r"|Unnamed: \d+")
 """Names that pandas and Excel give to columns that have none."""
 
@@ -73,7 +76,7 @@ class _Column(NamedTuple):
 @functools.lru_cache(8)
 def _known(world: World) -> Mapping[str, _Column]:
     """Return name -> column, of all that have a meaning."""
-    found = {name: _Column(name) for name in (*_FIELDS, "confidence")}
+    found = {name: _Column(name) for name in (*_FIELDS, "confidence", "rehearsal")}
     found |= {"event": found["video"], "rt": found["response_time"]}
     labels = Counter(label for of in questions_of(world).values() for label in of)
     for question, answers in questions_of(world).items():
@@ -122,11 +125,12 @@ def read_answers(
     left_out = Counter(reader.left_out)
     left_out[f"repeated (the {repeated} counts)"] = reader.checked - len(rows)
     extra = ["confidence", "rating"]
-    columns = [*COLUMNS, *extra, *reader.further]
+    columns = [*COLUMNS, *extra, "rehearsal", *reader.further]
     # plain objects: pandas' own text would make NaN of None
     cells = [[one.get(name) for name in columns] for row in rows for one in row["rows"]]
     table = pd.DataFrame(cells, columns=columns, dtype=object)
-    table = table.astype(dict.fromkeys(["value", "at", "response_time", *extra], float))
+    numbers = ["value", "at", "response_time", *extra]
+    table = table.astype({**dict.fromkeys(numbers, float), "rehearsal": bool})
     rated = table["rating"].notna()
     without = rated.groupby([table[n] for n in _PAIR], dropna=False).transform("any") & ~rated
     left_out["of graded answers, without a number"] = int(without.sum())
@@ -144,7 +148,9 @@ def read_answers(
     if table["rating"].notna().any():
         table, said = _graded(table, graded, temperature, left_out)
         notes.append(said)
-    table = table.drop(columns=[name for name in extra if table[name].isna().all()])
+    table["rehearsal"] |= table["participant"].str.startswith(Judgments.SCRIPTED)
+    unused = [name for name in extra if table[name].isna().all()]
+    table = table.drop(columns=[*unused, *["rehearsal"] * (not table["rehearsal"].any())])
     dropped = [f"{n} {why}" for why, n in left_out.items() if n]
     if dropped:
         notes.append(f"rows left out: {', '.join(dropped)}")
@@ -310,6 +316,11 @@ class _Reader:
         found["at"] = numbers["at"]
         shared: dict[str, Any] = {n: given[n] or None for n in self.further}
         shared |= {"participant": found["participant"], "at": numbers["at"]}
+        with faults.noted():
+            said = by_field.get("rehearsal", "").lower()
+            shared["rehearsal"] = said in _MARKED
+            if said not in (*_MARKED, *_NOT_MARKED):
+                raise InvalidEventError(f"rehearsal is {shown(said)}, expected true or false")
         names = {column: name for name, column in self.columns.items()}
         rows = []
         for (video, question), one in answers.items():
@@ -482,17 +493,22 @@ def _temperature(ratings: pd.DataFrame) -> tuple[float, str]:
     return float(np.exp(best)), how
 
 
+def marked(table: pd.DataFrame) -> bool:
+    """Whether a tidy table, or a part of it, has answers of scripted people."""
+    return "rehearsal" in table and bool(table["rehearsal"].eq(True).any())
+
+
 def summed_up(table: pd.DataFrame, world: World) -> str:
     """Return how many people, events and answers a tidy table has, in a line."""
     answers = table.drop_duplicates(_PAIR)
     counts = answers["question"].value_counts().reindex([*questions_of(world)]).dropna().astype(int)
     asked = [f"{question} {n}" for question, n in counts.items()]
     moments = answers["at"].dropna()
-    seen = f", {len(moments)} of them at {moments.nunique()} moments" if len(moments) else ""
-    scripted = table["participant"].str.startswith(Judgments.SCRIPTED).any()
+    n = moments.nunique()
+    seen = f", {len(moments)} of them at {n} moment{'s' * (n != 1)}" if n else ""
     return (
         f"{REHEARSAL}: "
-        * bool(scripted)
+        * marked(table)
         + f"{table['event'].nunique()} events, {table['participant'].nunique()} participants, "
         f"{len(answers)} answers ({', '.join(asked)}){seen}"
     )

@@ -248,9 +248,9 @@ class Evaluation(Printed):
             f"cost: {_cost(self.cost)}",
             *_first(failed, "failures"),
             *_first([f"note: {note}" for note in self.notes], "notes"),
-            *([f"note: {REHEARSAL}"] if rehearsed(self.events) else []),
         ]
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
+        lines += wrapped(f"note: {REHEARSAL}") if rehearsed(self.events) else []
         ending = ["", *(line for text in told for line in wrapped(text))]
         tables = metric_tables(list(models.items()), metrics["people"])
         lines += on_screen(tables, LINES - len(lines) - len(ending))

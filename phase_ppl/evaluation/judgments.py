@@ -17,9 +17,10 @@ questions (:func:`~phase_ppl.evaluation.prediction.questions_of`), such as ``goa
 
 Graded answers have a column for each label, such as ``friendly`` or ``relation friendly``, with
 numbers of at least 0. ``at`` [s] is the moment of the film until which a person had seen it.
-``confidence`` is kept beside the answers. There are two other forms: a row per answer, with the
-columns ``question`` and ``answer``, and for graded ones ``value``; and a row per participant, with
-columns such as ``collaborate_relation``.
+``confidence`` is kept beside the answers. ``rehearsal``, true or false, marks answers of scripted
+people; participants named ``scripted-...`` count as marked. There are two other forms: a row per
+answer, with the columns ``question`` and ``answer``, and for graded ones ``value``; and a row per
+participant, with columns such as ``collaborate_relation``.
 
 Raters' files of a public study of PHASE are read too: a folder with a text file per rater. The
 repository Isik-lab/SocialGNN has them; those of the test videos are in
@@ -48,7 +49,14 @@ from phase_ppl.data.authors.videos import parse_name
 from phase_ppl.data.documents import Keep, in_front, of_kind, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
-from phase_ppl.evaluation.answers_file import COLUMNS, Graded, Source, read_answers, summed_up
+from phase_ppl.evaluation.answers_file import (
+    COLUMNS,
+    Graded,
+    Source,
+    marked,
+    read_answers,
+    summed_up,
+)
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, reference_predictions
@@ -74,7 +82,8 @@ class Study:
             ``value``, its share of the person's answer: 1 for a label; ``at``, seconds of the film
             until which it had been seen (NaN: all of it); ``response_time`` in seconds, NaN if
             missing. Where they were given, there are ``rating``, as it was before it became a
-            share; ``confidence``; and further columns of the file, as text or None.
+            share; ``confidence``; ``rehearsal``, true for scripted people; and further columns of
+            the file, as text or None.
         world: world of the events.
         summary: what was done with the file: what was left out, and why; which of raters' files
             were kept. A line each.
@@ -107,7 +116,8 @@ class Study:
                 }
                 for at, of_moment in said.items()
             }
-            found[event] = Judgments.of_responses(given.pop(None), self.world, given)
+            one = Judgments.of_responses(given.pop(None), self.world, given)
+            found[event] = dataclasses.replace(one, rehearsal=marked(rows))
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
     def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:

@@ -50,6 +50,7 @@ class _Record(msgspec.Struct):
     goal_counts: _Votes | None = None
     responses: list[dict[str, str | _Seconds | dict[str, _Share] | None]] | None = None
     n_raters: _People | None = None
+    rehearsal: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ class Judgments:
         world: of the event; it has the questions and their answers.
         moments: seconds of the film -> judgments when the film had come so far, in order. All
             others are of the whole film.
+        rehearsal: whether they are marked as those of scripted participants.
         SCRIPTED: what names of scripted participants begin with, in all files.
     """
 
@@ -75,12 +77,14 @@ class Judgments:
     responses: Rows = dataclasses.field(default_factory=dict)
     world: World = PHASE
     moments: Mapping[float, Judgments] = dataclasses.field(default_factory=dict)
+    rehearsal: bool = False
 
     @property
     def scripted(self) -> bool:
-        """Whether participants were scripted: a rehearsal of a study."""
+        """Whether participants were scripted, by the mark or a name: a rehearsal of a study."""
         rows = (self.responses, *(one.responses for one in self.moments.values()))
-        return any(who.startswith(self.SCRIPTED) for of in rows for who in of)
+        named = any(who.startswith(self.SCRIPTED) for of in rows for who in of)
+        return self.rehearsal or named
 
     def distribution(self, question: str) -> FloatArray | None:
         """Return the share of each answer among those given (paper, Appendix 5); None if none."""
@@ -152,9 +156,10 @@ class Judgments:
         Fields: ``counts`` {question: {answer: ratings}}, for which ``relation_counts`` {relation:
         ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, ``n_raters``, and
         ``responses``, a list of objects with ``participant`` and answers to the questions: a label,
-        or {label: share}. With ``at``, seconds of the film, they are not counted in ``counts``. All
-        are optional, answers without ratings may be left out, fields of other names (such as
-        ``majority``) are not read. Goals are effective goals.
+        or {label: share}. With ``at``, seconds of the film, they are not counted in ``counts``.
+        ``rehearsal``, true, marks those of scripted people. All are optional, answers without
+        ratings may be left out, fields of other names (such as ``majority``) are not read. Goals
+        are effective goals.
 
         Raises:
             InvalidEventError: ratings that are negative or no whole number, more ratings than
@@ -208,6 +213,7 @@ class Judgments:
                     f"{total} in all"
                 )
             found = dataclasses.replace(found, n_raters=least if n_raters is None else n_raters)
+        found = dataclasses.replace(found, rehearsal=given.rehearsal)
         return found if totals or found.moments else None
 
     def to_record(self) -> dict[str, Any]:
@@ -227,6 +233,7 @@ class Judgments:
             "n_raters": self.n_raters,
             "counts": given,
             **({"responses": rows} if rows else {}),
+            **({"rehearsal": True} if self.scripted else {}),
         }
 
 

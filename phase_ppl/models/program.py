@@ -12,12 +12,14 @@ import numpyro
 import numpyro.distributions as dist
 from jax import random
 from numpyro import handlers
+from numpyro.primitives import _PYRO_STACK
 
 from phase_ppl.models.bridge import Request, called_back
 from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density, tracing
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.uniform import IMPOSSIBLE_POTENTIAL, SEED_BITS, dimensions, in_steps, sites_at
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene
@@ -31,6 +33,14 @@ _NEVER: Final = {
     "phase_ppl.kernels, or SA or AIES on program.uniform"
 }
 """Message of NumPyro's HMC, NUTS, SA and AIES when they refuse the site."""
+
+HOW_TO_CONDITION: Final = (
+    "to condition, ask the posterior, as in post.query('P(relation | goal_red=...)'), or take "
+    "NumPyro's DiscreteGibbs(handlers.condition(program, {...})), or a prior that allows only what "
+    "is given: post.with_prior(prior), ppl.Model(prior)"
+)
+
+_GIVERS: Final = (handlers.condition, handlers.substitute, handlers.do)
 
 
 class SimulatorSeed(dist.DiscreteUniform):
@@ -123,13 +133,15 @@ class EventProgram:
         deterministic sites, functions of the numbers (:mod:`phase_ppl.models.uniform`).
 
         Raises:
-            InvalidSettingError: a site of the prior has no inverse distribution function.
+            InvalidSettingError: a site of the prior has no inverse distribution function, or a
+                handler gives a value to hypothesis or seed.
         """
         n = dimensions(self.model)
         u = in_steps(numpyro.sample("uniform", dist.Uniform().expand([n]).to_event(1)))
         with handlers.block():
             sites = sites_at(self.model, u)
         seed = self.seed_at(u[-1], sites)
+        _check_not_given({**sites, SEED_SITE: seed})
         errors = self.simulate(sites, self.log_prior(sites), seed)
         for name, value in {**sites, SEED_SITE: seed, "step_error": errors}.items():
             numpyro.deterministic(name, value)
@@ -233,6 +245,25 @@ class EventProgram:
         agents = np.arange(space.n_agents)
         place = np.array([space.n_goals**k for k in agents[::-1].tolist()], np.uint64)
         return (goals * place.astype(np.uint32)).sum(dtype=jnp.uint32)
+
+
+def _check_not_given(sites: Sites) -> None:
+    """Raise InvalidSettingError if a handler gives a value to one of these deterministic sites.
+
+    NumPyro would ignore it (``condition``, ``do``), or show another hypothesis than was simulated
+    (``substitute``).
+    """
+    givers = [h for h in _PYRO_STACK if isinstance(h, _GIVERS)]
+    for name, value in sites.items():
+        site = {"type": "sample", "name": name, "fn": dist.Unit(0.0), "value": value}
+        site |= {"kwargs": {"rng_key": None}, "is_observed": True}
+        for handler in givers:
+            handler.process_message(site)
+        if site["value"] is not value:
+            raise InvalidSettingError(
+                f"a handler gives {name}, which follows from the numbers of program.uniform and "
+                f"cannot be set there: {HOW_TO_CONDITION}"
+            )
 
 
 def effective_goals(space: HypothesisSpace, sites: Sites) -> jax.Array:

@@ -116,7 +116,9 @@ def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownName
     containing = [n for n in names if len(wanted) > 1 and wanted in n.lower()]
     by_lower = {candidate.lower(): candidate for candidate in names}
     similar = difflib.get_close_matches(wanted, list(by_lower), n=4, cutoff=0.5)
-    close = list(dict.fromkeys([by_lower[s] for s in similar] + containing))[:4]
+    parts = sorted(wanted.split("_"))  # of relation_red_green too
+    swapped = [n for n in names if sorted(n.lower().split("_")) == parts]
+    close = list(dict.fromkeys(swapped + [by_lower[s] for s in similar] + containing))[:4]
     if close:
         hint = "did you mean " + " or ".join(repr(c) for c in close) + "?"
     elif len(names) <= 20:

@@ -105,6 +105,11 @@ def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: WhatIf) -> N
     also = ({"strength_red": 300.0}, {}), ({"goal_red": 3}, {}), ({}, {"walls": []})
     assert not any(Change.of(PHASE, a, remove="green agent", **b).is_removal for a, b in also)
     assert "the green agent reaches" not in told(alone)
+    own = ppl.GOALS[alone.goals[0][0]]
+    assert f"the red agent reaches its unchanged goal ({own}): " in told(alone)
+    differing = dataclasses.replace(alone, goals=[*alone.goals[:-1], (3, 3)])
+    several = f"(which differs between simulations: {own} in 5, {ppl.GOALS[3]} in 1)"
+    assert several in told(differing)
     for row, seconds in enumerate(alone.reached("red").sel(world="changed").values):
         pose = alone.poses[1, row, round(seconds * 12), 2, :2]
         assert is_on(pose, alone.scenes[0].landmark_centres[2], 2.5)

@@ -255,6 +255,21 @@ def test_aies_runs_on_uniform_numbers(program: OpenProgram) -> None:
     assert post.settings["kernel"]["name"] == "AIES"
 
 
+@pytest.mark.parametrize("handler", [handlers.condition, handlers.substitute, handlers.do])
+def test_a_handler_cannot_give_what_a_sampler_does_not_ask_it_for(
+    handler: Any, program: OpenProgram
+) -> None:
+    """NumPyro would ignore it, or show a hypothesis that was not simulated."""
+    for name in ("goal_red", "sim_seed"):
+        mcmc = MCMC(AIES(handler(program.uniform, {name: jnp.int32(5)})), num_warmup=0,
+                    num_samples=1, num_chains=2, chain_method="vectorized")  # fmt: skip
+        with pytest.raises(InvalidSettingError, match=rf"{name}, which follows.* DiscreteGibbs"):
+            mcmc.run(KEY)
+    with pytest.raises(InvalidSettingError, match=r"PriorMH\(.*itself.* DiscreteGibbs"):
+        ppl.kernels.PriorMH(handler(program, {"goal_red": jnp.int32(5)}))
+    assert not program.records
+
+
 def test_what_needs_a_gradient_or_to_enumerate_seeds_says_what_runs(program: OpenProgram) -> None:
     for kernel in (NUTS(program), SA(program)):
         with pytest.raises(RuntimeError, match=r"SA or AIES on program\.uniform"):

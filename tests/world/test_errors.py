@@ -40,6 +40,7 @@ def test_an_unknown_name_is_answered_with_close_ones_or_with_what_there_is() -> 
     for name, allowed, said in (
         ("freindly", ["friendly", "neutral"], "unknown name 'freindly'; did you mean 'friendly'?"),
         ("E17", MANY, "'D0819_17_E17'"),
+        ("of_b_a", ["of_b_c", "of_a_b"], "did you mean 'of_a_b' or 'of_b_c'?"),
         ("xyz", ["a", "b"], "unknown name 'xyz'; allowed: 'a', 'b'"),
         ("?", MANY, "unknown name '?'; 30 names are allowed, such as 'D0819_0_E0'"),
         ("x" * 10**6, ["a"], "...; allowed: 'a'"),

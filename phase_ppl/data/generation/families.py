@@ -220,6 +220,13 @@ def family_of(cell: str, world: World = PHASE) -> Family:
     return dataclasses.replace(family, variant=variant)
 
 
+def cells_of(cell: str, world: World) -> list[str]:
+    """Return "FAMILY:VARIANT" for all variants, if given a family that has some; else the cell."""
+    family = _families_of(world).get(cell)
+    variants = () if family is None else family.variants
+    return [f"{cell}:{variant}" for variant in variants] or [cell]
+
+
 def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
     """Return the scene and the hypothesis that a family draws in a world.
 

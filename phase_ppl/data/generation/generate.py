@@ -237,8 +237,9 @@ def generate(
             :func:`phase_ppl.roles.draw` and, for a prior of your own,
             ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default all goals are equally
             likely, and all ways to help or hinder.
-        cells: FAMILY or FAMILY:VARIANT -> number; by default PHASE has the paper's 500, any other
-            world, or with ``roles``, random scenes (``available_families`` lists the families).
+        cells: FAMILY or FAMILY:VARIANT -> number; a family's is spread evenly over its variants. By
+            default PHASE has the paper's 500, any other world, or with ``roles``, random scenes
+            (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
         planner: "fast", "paper" or a ``PlannerConfig``.

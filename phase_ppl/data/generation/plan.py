@@ -11,13 +11,14 @@ import functools
 import itertools
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.data.generation.families import Family, family_of
+from phase_ppl.data.generation.families import Family, cells_of, family_of
 from phase_ppl.data.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
@@ -105,8 +106,11 @@ class Plan:
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
+        spread = Counter[str]()
         for cell, n in self.cells.items():
-            whole_number(cell, n, 0)
+            of_each = dict.fromkeys(cells_of(cell, self.world), 1.0)
+            spread.update(apportioned(whole_number(cell, n, 0), of_each))
+        object.__setattr__(self, "cells", dict(spread))
         if self.roles is not None and not callable(self.roles):
             raise InvalidSettingError(
                 f"roles={shown(self.roles)}, expected a function (world, seed) such as "

@@ -39,8 +39,8 @@ from phase_ppl.models.density import (
     compiled_quickly,
     is_stepped,
 )
-from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.models.program import HOW_TO_CONDITION, EventProgram
+from phase_ppl.world.errors import InvalidSettingError, shown
 
 _SLACK: Final = 0.01
 _RELATIVE_SLACK: Final = 1e-5
@@ -84,6 +84,11 @@ class EventKernel(MCMCKernel):
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
     ) -> None:
+        if not isinstance(program, EventProgram | None):
+            raise InvalidSettingError(
+                f"{type(self).__name__}({shown(program)}): expected the phase_ppl.program itself, "
+                f"whose prior a handler does not change; {HOW_TO_CONDITION}"
+            )
         self._program = program
         self._guide = guide
         # one of ``phase_ppl.program`` has settings, and a guide by them

@@ -110,6 +110,10 @@ def test_the_preset_and_its_splits_are_the_papers() -> None:
     cells = scaled(PHASE500, 50)
     assert sum(cells.values()) == 50
     assert all(abs(n - PHASE500[cell] / 10) < 1 for cell, n in cells.items())
+    # a family's number is spread over its variants
+    cells = dict(Plan(cells={"independent": 7, "chasing": 1, "independent:LMA+LMA": 1}).cells)
+    of_each = {"LMO+LMO": 3, "LMO+LMA": 2, "LMA+LMA": 3}
+    assert cells == {"chasing": 1} | {f"independent:{v}": n for v, n in of_each.items()}
 
 
 def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_path: Path) -> None:
