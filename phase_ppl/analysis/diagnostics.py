@@ -72,7 +72,8 @@ def diagnostics(
     * ``windows``: how many proposals came from a window (``proposals``) and from none
       (``without``); the windows' first frames (``starts``) and how often each occurs
       (``counts``); ``frames`` of a window, None: the run has no such setting.
-    * ``simulations``: total, completed, aborted (stopped early), failed; ``frames_saved`` and
+    * ``simulations``: total, completed, aborted (stopped early), failed; ``first_failure``: which
+      failed first, why and where, "": none, or an older file; ``frames_saved`` and
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
@@ -283,6 +284,7 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
     counts = {"completed": completed, "aborted": aborted, "failed": failed}
     return {
         "simulations": {"total": len(failed), **{k: one.sum() for k, one in counts.items()}},
+        "first_failure": simulations.attrs.get(trees.FIRST_FAILURE, ""),
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
     }
@@ -309,11 +311,11 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
 def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, Any]:
     """Return what diagnostics have of the trajectories themselves.
 
-    Keys: ``n_frames``; ``overlapping_frames``, in which bodies overlap each other or a wall;
-    ``unseen_frames``, in which each entity, or an agent's angle, was not seen, of those that were
-    not at times;
-    ``sealed_agents``, who start in a room without a door; and for the joint simulator ``odd_pace``,
-    see :func:`phase_ppl.data.motion.odd_pace`, else "".
+    Keys: ``n_frames``; ``unseen_frames``, in which each entity, or an agent's angle, was not seen,
+    of those that were not at times; and ``sealed_agents``, who start in a room without a door.
+    What the joint simulator alone cannot do: ``overlapping_frames``, in which bodies overlap each
+    other or a wall, else none; and ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else
+    "".
     """
     rooms, agents = scene.rooms, scene.world.agents
     starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
@@ -322,7 +324,7 @@ def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, An
     gone |= {f"{name}'s angle": unseen & ~gone[name] for name, unseen in turned}
     return {
         "n_frames": len(trajectory),
-        "overlapping_frames": overlapping_frames(trajectory, scene),
+        "overlapping_frames": overlapping_frames(trajectory, scene) if joint else [],
         "odd_pace": odd_pace(trajectory, scene) if joint else "",
         "sealed_agents": [
             name

@@ -5,11 +5,15 @@ The ready-made ones are in :mod:`phase_ppl.models.priors`.
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Callable
-from typing import Any
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
+import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.answers import answer_lines, answers
 from phase_ppl.analysis.estimate import Jackknife
@@ -17,7 +21,7 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import vocabulary_of
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.models.density import on_cpu
+from phase_ppl.models.density import compiled_quickly, draw, on_cpu
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.prior_masses import MOST_HYPOTHESES, PriorMasses
 from phase_ppl.models.priors import (
@@ -39,7 +43,9 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.picture import plain, wrapped
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
+
+_DRAWS: Final = 4000  # of a program's further sites
 
 __all__ = [
     "Summary",
@@ -60,10 +66,13 @@ __all__ = [
 class Summary(Hypotheses):
     """What a prior says, to be asked like a posterior; :func:`summary` makes it.
 
-    ``print`` shows the probable goals, relation, scenario and strengths, ``to_dict`` has all.
+    ``print`` shows the probable goals, relation, scenario and strengths, who helps or hinders, and
+    the program's further sites; ``to_dict`` has goals, relations, scenario and strengths.
     """
 
-    def __init__(self, title: str, prior: PriorMasses) -> None:
+    def __init__(
+        self, title: str, prior: PriorMasses, further: Mapping[str, NDArray[Any]] | None = None
+    ) -> None:
         space, words = prior.space, vocabulary_of(prior.space)
         drawn = prior.are_many
         found = prior.drawn(np.exp(prior.log_goals)) if drawn else prior.enumerated()
@@ -88,6 +97,7 @@ class Summary(Hypotheses):
         rows = Rows(words.completed(columns), mass, {"hypothesis": np.arange(len(row))})
         super().__init__(space, words.quantities, rows)
         self._title, self._is_summed = title, not drawn
+        self._alphas, self._further = list(space.alpha_names) or [ALPHA_SITE], further or {}
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Return one without error, where all hypotheses are summed."""
@@ -98,7 +108,17 @@ class Summary(Hypotheses):
         return dict(plain(answers(self)))
 
     def __str__(self) -> str:
-        return "\n".join([*wrapped("prior", self._title), "", *answer_lines(self)])
+        lines = answer_lines(self)
+        for name in self._alphas:
+            masses = self.marginal(name).to_series()
+            text = ", ".join(f"{label} {mass:.2f}" for label, mass in masses.items())
+            signs = " (red to green, green to red: 1 helps, -1 hinders)"
+            lines += wrapped(f"{name} ", text + signs * (name == ALPHA_SITE))
+        for name, drawn in self._further.items():
+            low, high = np.quantile(drawn, [0.03, 0.97])
+            within = f"94 % in {low:.2f} to {high:.2f}; {len(drawn)} draws"
+            lines += wrapped(f"{name} ", f"mean {drawn.mean():.2f} ({within})")
+        return "\n".join([*wrapped("prior", self._title), "", *lines])
 
     def __repr__(self) -> str:
         return f"<prior {self._title}>"
@@ -139,9 +159,13 @@ def summary(
     else:
         world, title = event.scene.world, f"{title}, of the event {event.id}"
         bound = for_table(given, event.scene, event.observation)
-    kept, _ = stepwise_prior(bound, world, levels)
+    kept, attributes = stepwise_prior(bound, world, levels)
+    sites = json.loads(attributes.get("sites", "[]"))
+    keys = jax.random.split(jax.random.key(0), _DRAWS)
+    drawn = compiled_quickly(jax.vmap(functools.partial(draw, bound)))(keys) if sites else {}
     every = np.array(list(itertools.product(levels, repeat=len(world.agents))))
-    return Summary(title, PriorMasses(space_of(world), kept, every))
+    further = {name: np.asarray(drawn[name]) for name in sites}
+    return Summary(title, PriorMasses(space_of(world), kept, every), further)
 
 
 def __dir__() -> list[str]:

@@ -27,6 +27,9 @@ SIMULATED: Final = "simulated"
 """Group of each draw's simulation, without noise. For the radial likelihood its attribute ``beta``
 gives the likelihood's noise."""
 
+FIRST_FAILURE: Final = "first_failure"
+"""Attribute of the group of simulations, in words, if one failed. Older files lack it."""
+
 DRAW: Final = ("chain", "draw")
 SIMULATION: Final = ("simulation",)
 FRAME: Final = ("time", "entity", "coord")

@@ -17,6 +17,8 @@ AGREED: Final = 0.8
 STUCK: Final = 0.05  # acceptance rate below which the particles hardly moved
 FEW: Final = 0.1  # effective share of weighted draws below which a few of them decide
 
+FAILED: Final = 0.1  # share of simulations above which their failures decide
+
 MIXED: Final = 1.1  # R-hat above which draws depend on the start of their chain
 
 ALONE: Final = 0.99
@@ -74,6 +76,7 @@ ODD_PACE: Final = {
 }
 """What is odd about tracks that no agents of a world can make."""
 
+_SUCCEEDED: Final = "simulations succeeded"
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -130,7 +133,7 @@ def _asked(name: str) -> str:
 
 
 def verdict_lines(found: Record) -> list[str]:
-    """Return the answer, the checks, the worst one's text, and the next step, as lines."""
+    """Return the answer, the checks, the worst one's text and the next step, as lines."""
     shown, label = list(wrapped("answer", found["answer"])), "checks"
     for one in found["checks"]:
         row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
@@ -139,8 +142,10 @@ def verdict_lines(found: Record) -> list[str]:
     if legend := _legend(found):
         shown.append(f"{'':<{LABEL}}({legend})")
     said = [one["says"] for state in _LOOKS for one in found["checks"] if one["state"] == state]
-    if said and said[0]:
-        shown += wrapped("why", said[0])
+    # an error in a user's code is told, also where another check is worse
+    errors = [one["says"] for one in found["checks"] if one["name"] == _SUCCEEDED]
+    for text in filter(None, dict.fromkeys([*said[:1], *errors])):
+        shown += wrapped("why", text)
     return [*shown, *wrapped("next", found["next"])]
 
 
@@ -232,12 +237,12 @@ def _decided(leaders: Record, advice: str) -> Check:
 def of_draws(found: Record) -> dict[str, Any]:
     """Return the verdict on a posterior of draws or simulations, from its diagnostics."""
     draws, particles, weights = found["iterations"], found["particles"], found["weights"]
-    weighted, simulations = found["weighted_draws_ess"] is not None, found["simulations"]
+    weighted = found["weighted_draws_ess"] is not None
     more = f"run longer: iterations={max(40, 4 * draws)}"
     if draws == 1 and weighted:  # a population
         more = f"take more particles: chains={4 * particles}"
     longer = f"{more}, or {_CLOSED_LOOP}"
-    checks = [*_of_tracks(found)]
+    checks = [*_succeeded(found), *_of_tracks(found)]
     if weights == "likelihood":
         says = "The weights 'likelihood' make every probability too extreme."
         checks.append(Check("weights", "fail", weights, "any other", says, 'weights="count"'))
@@ -254,10 +259,21 @@ def of_draws(found: Record) -> dict[str, Any]:
         checks += _other_leaders(found["categories"])
     elif weights == "count":  # else all simulations count, not the draws alone
         checks.append(_worth(found, longer))
-    if n := simulations["failed"]:
-        says = f"{n} of {simulations['total']} simulations failed."
-        checks.append(Check("simulations succeeded", "doubt", f"{n} failed", "all", says))
     return judged(found["leaders"], checks, "Nothing speaks against the leading answers.")
+
+
+def _succeeded(found: Record) -> Iterator[Check]:
+    n, total = found["simulations"]["failed"], found["simulations"]["total"]
+    if n:
+        first = found["first_failure"]
+        says = f"{n} of {total} simulations failed, and count as impossible"
+        says += f"; the first, {first}." if first else "."
+        state = "fail" if n > FAILED * total else "doubt"
+        advice = (
+            "mend the simulator, which raises an error or takes too long; on_failure='raise' stops "
+            "at the first"
+        )
+        yield Check(_SUCCEEDED, state, f"{n} of {total} failed", "all", says, advice)
 
 
 def _enough(found: Record, longer: str) -> Check:

@@ -84,6 +84,10 @@ COMPARISON: Final = "comparison.json"
 _DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
 """The settings that must be the same to continue an evaluation, beside events and versions."""
 
+_UNKNOWN: Final = (
+    "errors of all answers are unknown, as with one set of searches (planner_seeds=1): no answer "
+    "is sure, and no event is decided"
+)
 _FEW: Final = 3  # failures and notes that are printed
 
 _COLUMNS: Final = {
@@ -248,6 +252,7 @@ class Evaluation(Printed):
             f"cost: {_cost(self.cost)}",
             *_first(failed, "failures"),
             *_first([f"note: {note}" for note in self.notes], "notes"),
+            *([f"note: {_UNKNOWN}"] if self._has_no_errors else []),
         ]
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
         lines += wrapped(f"note: {REHEARSAL}") if rehearsed(self.events) else []
@@ -255,6 +260,13 @@ class Evaluation(Printed):
         tables = metric_tables(list(models.items()), metrics["people"])
         lines += on_screen(tables, LINES - len(lines) - len(ending))
         return "\n".join([*lines, *ending])
+
+    @property
+    def _has_no_errors(self) -> bool:
+        """Whether posteriors gave the answers, all with unknown errors."""
+        of_posteriors = [one for one in self.predictions.values() if one.decided is not None]
+        errors = [p for one in of_posteriors for values in one.errors.values() for p in values]
+        return bool(errors) and all(map(math.isnan, errors))
 
     def __repr__(self) -> str:
         return (
@@ -568,13 +580,15 @@ def _first(texts: Sequence[str], what: str) -> list[str]:
 
 
 def _cost(cost: Mapping[str, Any]) -> str:
-    words = f"{_time(cost['seconds'])} in all"
+    words = f"{_time(cost['seconds'])} by the clock, summed over events"
+    cpu = [one["cpu_seconds"] for one in cost["events"].values() if one.get("cpu_seconds")]
+    words += f", {_time(sum(cpu))} of CPU" if cpu else ""
     if cost["simulations"] is not None:
         words = f"{cost['simulations']} simulations, {words}"
     if cost["wall_seconds"] is not None:
         n = cost["workers"]
         on = "" if n is None else f" with {n} worker{'' if n == 1 else 's'}"
-        words += f"; this call took {_time(cost['wall_seconds'])}{on}"
+        words += f"; this call took {_time(cost['wall_seconds'])} by the clock{on}"
     return words
 
 

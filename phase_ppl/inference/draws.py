@@ -10,7 +10,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, scene_dataset
+from phase_ppl.analysis.tree import (
+    DRAW,
+    FIRST_FAILURE,
+    FRAME,
+    SCHEMA,
+    SIMULATED,
+    SIMULATION,
+    scene_dataset,
+)
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
@@ -150,7 +158,12 @@ def tree_of(
     stats = _sample_stats(steps, iterations, records, table, index)
     explained = np.where(simulated, by_frame, np.nan).astype(np.float64)
     trajectory = _trajectories(records, index)
-    return grouped(event, model, sites, table, index, stats, explained, trajectory)
+    tree = grouped(event, model, sites, table, index, stats, explained, trajectory)
+    for result in (record.result for record in records if record.result.failure is not None):
+        told = f"of [{result.hypothesis}] with seed {result.seed}: {result.failure}"
+        tree["simulations"].attrs[FIRST_FAILURE] = told
+        break
+    return tree
 
 
 def grouped(

@@ -118,7 +118,9 @@ def test_verdict_discloses_guesses_approximate_kernels_and_weights() -> None:
     assert "too extreme" in verdict([[1]], simulations, "likelihood")
 
 
-def test_fit_is_of_positions_and_bodies_that_lie_on_each_other_come_first() -> None:
+@pytest.mark.parametrize("simulator", ["joint", "mine.glide"])
+def test_fit_is_of_positions_and_bodies_that_lie_on_each_other_come_first(simulator: str) -> None:
+    """A simulator of a user's own may know no collisions."""
     apart = np.zeros((3, 4, 3))
     apart[..., 0] = [2.0, 8.0, 14.0, 18.0]
     apart[..., 1] = 5.0
@@ -126,7 +128,9 @@ def test_fit_is_of_positions_and_bodies_that_lie_on_each_other_come_first() -> N
     meeting[1, 1] = meeting[1, 0]
     for seen, frames in ((apart, []), (meeting, [1])):
         predicted = np.stack([seen + np.array(shift) for shift in ((3, 4, 9), (0, 1, 9))])
-        found = posterior_of([A, A], [[0], [1]], observed=seen, predicted=predicted).diagnostics()
+        tree = posterior_of([A, A], [[0], [1]], observed=seen, predicted=predicted).tree
+        tree.attrs["settings"] = json.dumps({"model": {"simulator": simulator}})
+        found, frames = Posterior(tree).diagnostics(), frames if simulator == "joint" else []
         assert found["best_error_per_frame"] == pytest.approx(2)  # one unit each of four entities
         assert found["overlapping_frames"] == frames
         assert found["verdict"].startswith("Bodies lie on each other or in a wall") == bool(frames)

@@ -113,6 +113,7 @@ def test_what_the_closed_loop_answers_is_its_posterior() -> None:
     quick = PlannerConfig(particles=4, simulations=2, rollout_length=1)
     event = ppl.simulate(scene, goals=goals, frames=4, planner=quick, id="short")
     found = ppl.evaluate([event], "stepwise", planner=quick, planner_seeds=1, **ONE_PROCESS)
+    assert "errors of all answers are unknown, as with one set" in " ".join(str(found).split())
     assert found.failures == {}
     prediction = found.predictions["short"]
     assert set(prediction.probabilities) == set(questions_of(TRIO))

@@ -63,6 +63,27 @@ def test_rejected_simulations_have_no_likelihood_and_are_counted() -> None:
     assert f"{n} failed" in words(post)
 
 
+@pytest.mark.parametrize(("limit", "state"), [(350, "fail"), (161, "doubt")])
+def test_the_first_failure_is_told_and_kept(limit: float, state: str, tmp_path: Path) -> None:
+    """Raised by some hypotheses, or by one in particular."""
+
+    def mistaken(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        if hypothesis.strength_red < limit:
+            len(scene.radius[0])
+        yield from walkers(scene, hypothesis, rng)
+
+    post = ppl.infer(EVENT, ppl.Model(simulator=mistaken), **OPTIONS)
+    found = post.diagnostics()
+    (check,) = (one for one in found["checks"] if one["name"] == "simulations succeeded")
+    assert check["state"] == state
+    assert "len()" in found["first_failure"]
+    for one in (post, ppl.load_posterior(post.save(tmp_path / "post.nc"))):
+        assert "TypeError: object of type 'numpy.float64' has no len() (test_failing" in words(one)
+    if state == "fail":
+        assert found["trust"] == "do not trust"
+        assert found["next"].startswith("mend the simulator")
+
+
 def test_retrying_saves_what_only_slipped_and_is_the_same_after_a_rest(tmp_path: Path) -> None:
     options: dict[str, Any] = {"on_failure": "retry", "retries": 2}
     post = infer(**options)

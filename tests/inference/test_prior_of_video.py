@@ -158,6 +158,7 @@ def test_other_worlds_have_priors_that_look_too() -> None:
 
 def test_a_summary_says_what_alpha_comes_to_for_relations() -> None:
     def helping() -> None:
+        numpyro.sample("patience", dist.Beta(2.0, 6.0))
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array([4, 3, 3, 1, 1]) / 12))
         ppl.sites.goals()
         ppl.sites.strengths()
@@ -172,3 +173,5 @@ def test_a_summary_says_what_alpha_comes_to_for_relations() -> None:
     assert sum(told["goals"]["red agent"].values()) == pytest.approx(1.0)
     assert "friendly" in str(found)
     assert "helping" in str(found)
+    assert "(0, 0) 0.33, (1, 0) 0.25" in str(found)
+    assert "patience     mean 0.25" in str(found)
