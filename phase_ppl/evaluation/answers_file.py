@@ -25,6 +25,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
+    PhasePPLError,
     UnknownNameError,
     check_name,
     instance_of,
@@ -58,6 +59,7 @@ _MILLISECONDS: Final = 300.0
 
 _MOST: Final = 1e15  # of ratings, seconds and milliseconds
 _AS_GOOD: Final = 1e-4  # log scores of temperatures, nats an answer, that count as the same
+_MISSPELT: Final = 0.9  # the same of a video: ids of one study are alike
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
 _FIELDS: Final = ("participant", "video", *COLUMNS[2:])
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
@@ -117,11 +119,17 @@ def read_answers(
     if isinstance(na, str) or not isinstance(na, Collection):
         raise InvalidSettingError(f"na={shown(na)}, expected a list of texts")
     reader = _Reader(world, videos, names or {}, {*na, *_NOT_AVAILABLE} - {""})
-    if isinstance(source, pd.DataFrame):
-        with in_front("the table"):
-            rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
-    else:
-        rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
+    name = "the table" if isinstance(source, pd.DataFrame) else os.fspath(source)
+    try:
+        if isinstance(source, pd.DataFrame):
+            with in_front(name):
+                rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
+        else:
+            rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
+    except PhasePPLError:
+        if others := reader.of_other_videos():
+            raise UnknownNameError(f"{name}: {others}") from None
+        raise
     left_out = Counter(reader.left_out)
     left_out[f"repeated (the {repeated} counts)"] = reader.checked - len(rows)
     extra = ["confidence", "rating"]
@@ -181,6 +189,7 @@ class _Reader:
         self.world, self.videos, self.names, self.na = world, videos, names, na
         self.columns: dict[str, _Column] = {}
         self.left_out: Counter[str] = Counter()
+        self.unknown: Counter[str] = Counter()  # videos without an event: their answers
         self.checked = 0  # rows that were kept, repeated ones too
 
     @property
@@ -286,6 +295,24 @@ class _Reader:
     def _allowed(self) -> tuple[str, ...]:
         return (*_FIELDS, *questions_of(self.world), "confidence")
 
+    def of_other_videos(self) -> str:
+        """Return what is wrong if answers are about further videos, not misspelt ones; or ""."""
+        known = [video.lower() for video in self.videos or ()]
+        near = sum(
+            any(video.lower() in one for one in known)
+            or bool(difflib.get_close_matches(video.lower(), known, 1, _MISSPELT))
+            for video in self.unknown
+        )
+        if 2 * near >= len(self.unknown):
+            return ""
+        n, events = self.unknown.total(), len(known)
+        of = f"these {events} events" if events > 1 else "the one given"
+        return (
+            f"{n} answer{'s are' if n > 1 else ' is'} about videos that are not among {of}, such "
+            f"as {shown(next(iter(self.unknown)))}: give all events of the study; evaluate takes "
+            "fewer"
+        )
+
     # --- a row
 
     def row(self, cells: Mapping[str, str]) -> dict[str, Any]:
@@ -341,7 +368,9 @@ class _Reader:
             rows = []
             found["answer"] = object()  # is like no other
         elif self.videos is not None:
-            for video in dict.fromkeys(row["event"] for row in rows):
+            for video, n in Counter(row["event"] for row in rows).items():
+                if video not in self.videos:
+                    self.unknown[video] += n
                 with faults.noted():
                     check_name("video", video, self.videos)
         faults.check()

@@ -212,6 +212,10 @@ def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None
     with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'; did you mean 'aa'"):
         load_judgments(path, events)
     assert set(load_judgments(path).judgments) == {"a", "b"}
+    few = [make_event("film 1"), make_event("film 2")]
+    for source in (path, pd.read_csv(path)):
+        with pytest.raises(UnknownNameError, match=r"\d answers are .* not among these 2 events"):
+            load_judgments(source, few)
 
 
 # --- files as other programs leave them, and graded answers ------------------------------------

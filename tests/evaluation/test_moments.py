@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.registry import Answer, Predict
@@ -83,6 +84,27 @@ def test_pooled_agreement_is_over_all_moments(tmp_path: Path) -> None:
     rows = found.to_dataframe().dropna(subset=["at", "people"])
     expected = np.corrcoef(rows["probability"], rows["people"])[0, 1]
     assert found.metrics["moments"]["relation_r"]["value"] == pytest.approx(expected)
+
+
+def test_one_moment_is_drawn_as_marks_with_bars(tmp_path: Path) -> None:
+    events = [still(name, 5 + place, shift=0.1 * place) for place, name in enumerate("abcdef")]
+    study = ppl.load_judgments(table(events).query("at == 1"), events)
+    models = {"grows": grows, "sure": lambda *_: {"relation": "friendly"}}  # no probabilities
+    found = {name: evaluate(events, model, judgments=study) for name, model in models.items()}
+    comparison = ppl.compare_models(found)
+    over = ppl.figures.over_time(comparison, tmp_path / "over.png")
+    assert "4 of 6 events" in "".join(text.get_text() for text in over.findobj(Text))
+    by = ppl.figures.by_moment(comparison, tmp_path / "by.png")
+    for figure in (over, by):
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["grows"]
+        axes = figure.axes[0]
+        marks = [line for line in axes.lines if len(line.get_xdata()) == 1]
+        assert [line.get_marker() for line in marks] == ["o", "o"]  # people and a model
+        assert len(axes.collections) == 1  # an interval
+        assert axes.get_xticks().tolist() == [1]
+        assert axes.get_xlim()[0] == 0
+        low, high = axes.get_ylim()
+        assert all(low < line.get_ydata()[0] < high for line in marks)
 
 
 def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> None:

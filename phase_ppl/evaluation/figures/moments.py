@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
 
-from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, banded, new_figure, titled, written
+from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, new_figure, titled, written
 from phase_ppl.evaluation.cells import KIND_WORDS
 from phase_ppl.evaluation.doubt import rows_of
 from phase_ppl.evaluation.figures.frame import (
@@ -25,11 +26,17 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 _MOST: Final = 4  # events that are drawn
 _COLUMNS: Final = 5  # answers that are
 _DRAWN: Final = 1000  # resamples of the people
+_TICKS: Final = 5  # moments that the axis names
+_ALONE: Final = {"marker": "o", "ms": 4}  # of a line with one moment
+_BESIDE: Final = 0.08  # inches from mark to mark there
 _NOTHING: Final = "nobody judged at a moment of a film"
 
 
@@ -62,34 +69,39 @@ def over_time(source: Source, path: PathLike | None = None) -> Figure:
     """
     events, models = _models(source)
     shown = events[:_MOST]
+    some = f"{len(shown)} of {len(events)} events. " if len(shown) < len(events) else ""
     tables = {one: Answers.of(shown, one.predictions).rows.dropna(subset="at") for one in models}
     people = next(iter(tables.values()))
     chosen = {event.id: _asked(people[people["event"] == event.id], event) for event in shown}
     n_columns = max(map(len, chosen.values()))
     figure = new_figure(
         0.7 + 1.75 * n_columns, 0.6 + 1.5 * len(shown),
-        note="Share or probability of the answer, given the film until then [s]. Black: people, "
-        "with the 95 % interval of their mean; coloured: models.",
+        note=f"{some}Share or probability of the answer, given the film until then [s]. Black: "
+        "people, with the 95 % interval of their mean; coloured: models.",
     )  # fmt: skip
     grid = figure.subplots(len(shown), n_columns, squeeze=False, sharey=True)
+    drawn = set()
     for event, line in zip(shown, grid, strict=True):
         for axes in line[len(chosen[event.id]) :]:
             axes.set_visible(False)
         for axes, (question, label) in zip(line, chosen[event.id], strict=False):
-            for one, table in tables.items():
+            for place, (one, table) in enumerate(tables.items(), 1):
                 keys = ("event", event.id), ("question", question), ("label", label)
                 rows = table[np.all([table[name] == value for name, value in keys], axis=0)]
                 if one is models[0]:
                     at, share, within = _of_people(event, rows, question, label)
-                    axes.fill_between(at, *within, color=PEOPLE_COLOUR, alpha=0.16, lw=0)
-                    axes.plot(at, share, "o-", ms=3, color=PEOPLE_COLOUR, lw=1.8)
-                axes.plot(rows["at"], rows["probability"], color=one.colour, lw=1.4)
-            axes.set(xlim=(0, None), ylim=(-0.02, 1.02), yticks=[0, 1])
+                    _line(axes, at, share, within, PEOPLE_COLOUR, marker="o", ms=3)
+                rows = rows.dropna(subset="probability")
+                if len(rows):
+                    _line(axes, rows["at"], rows["probability"], None, one.colour, place, lw=1.4)
+                    drawn.add(one)
+            axes.set(ylim=(-0.02, 1.02), yticks=[0, 1])
+            _timed(axes, people.loc[people["event"] == event.id, "at"])
             words = titles_of(event.scene.world)[question]
             titled(axes, "", words, fontsize=NORMAL)
             axes.set_title(label, pad=15, fontsize=fitting([label], 1.6), fontweight="bold")
         line[0].set_ylabel(event.id, fontsize=fitting([event.id], 1.2))
-    _named(figure, models)
+    _named(figure, [one for one in models if one in drawn])
     return written(figure, path)
 
 
@@ -150,34 +162,72 @@ def by_moment(source: Source, path: PathLike | None = None) -> Figure:
         "halves, and their own log score (in-sample).",
     )  # fmt: skip
     grid = figure.subplots(len(kinds), 2, squeeze=False)
+    drawn, moments = set(), [of["at"] for of in models[0].metrics["moments"]["by_moment"]]
     for kind, line in zip(kinds, grid, strict=True):
         prefix = PREFIX[kind]
         names = {f"{kind}_r": f"{prefix}split_half_r",
                  f"{prefix}log_score": f"{prefix}log_score_people"}  # fmt: skip
         for axes, (name, among) in zip(line, names.items(), strict=True):
-            for one in models:
+            for place, one in enumerate(models, 1):
                 rows = [
                     {"at": of["at"], **of[name]}
                     for of in one.metrics["moments"]["by_moment"]
                     if of[name] is not None
                 ]
                 table = pd.DataFrame(rows, columns=["at", "value", "ci_low", "ci_high"])
-                table = table.astype(float)
-                band = table.dropna()
-                axes.fill_between(
-                    band["at"], band["ci_low"], band["ci_high"], color=one.colour, alpha=0.12, lw=0
-                )
-                banded(axes, table["at"], table["value"].to_numpy(), None, one.colour, marker=".")
+                if rows:
+                    table = table.astype(float)
+                    within = table[["ci_low", "ci_high"]].to_numpy().T
+                    _line(axes, table["at"], table["value"], within, one.colour, place, marker=".")
+                    drawn.add(one)
             found = [(of["at"], of[among]["value"])
                      for of in models[0].metrics["moments"]["by_moment"] if of[among]]  # fmt: skip
             if found:
-                axes.plot(*zip(*found, strict=True), color=GREY, lw=1.3, ls=(0, (4, 2)))
+                _line(axes, *zip(*found, strict=True), None, GREY, lw=1.3, ls=(0, (4, 2)))
+            _timed(axes, moments)
             if name.endswith("_r"):
                 axes.axhline(0, color=INK, lw=0.6)
             what = "r with people" if name.endswith("_r") else "log score, nats"
             axes.set_title(f"{KIND_WORDS[kind].capitalize()}: {what}", fontsize=NORMAL)
-    _named(figure, models)
+    _named(figure, [one for one in models if one in drawn])
     return written(figure, path)
+
+
+def _line(
+    axes: Axes,
+    at: ArrayLike,
+    value: ArrayLike,
+    within: FloatArray | None,
+    colour: str,
+    place: int = 0,
+    **style: Any,
+) -> None:
+    """Draw a line and its band (low and high, moment).
+
+    One moment is a mark with a bar: people's at the moment, models' beside it, by ``place``.
+    """
+    from matplotlib.transforms import ScaledTranslation
+
+    alone = len(np.asarray(at)) == 1
+    drawn: list[Artist] = axes.plot(
+        at, value, color=colour, **{"lw": 1.8, **style, **(_ALONE if alone else {})}
+    )
+    if within is not None and alone:
+        drawn.append(axes.vlines(at, *within, lw=1.4, color=colour))
+    elif within is not None:
+        axes.fill_between(at, *within, color=colour, alpha=0.14, lw=0)
+    if alone:
+        beside = ScaledTranslation(_BESIDE * place, 0, axes.figure.dpi_scale_trans)
+        for one in drawn:
+            one.set_transform(axes.transData + beside)
+
+
+def _timed(axes: Axes, moments: Iterable[float]) -> None:
+    """Let the horizontal axis begin with the film, with ticks at the moments where they are few."""
+    ticks = np.unique(list(moments))
+    axes.set_xlim(0, (1.08 if len(ticks) > 1 else 1.5) * max(ticks[-1], 0.1))
+    if len(ticks) <= _TICKS:
+        axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
 
 
 def _named(figure: Figure, models: list[AnswerSet]) -> None:
