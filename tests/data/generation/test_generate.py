@@ -276,7 +276,7 @@ def test_an_event_that_cannot_be_made_is_named_and_the_rest_kept(
 
 BAD: list[tuple[dict[str, Any], str]] = [
     ({"cells": {"chase": 1}}, "chasing"),
-    ({"cells": {"hinder": 1}}, "hinder:LMA"),
+    ({"cells": {"hinder:LMX": 1}}, "hinder:LMA"),
     ({"cells": {"chasing": -1}}, "chasing=-1"),
     ({"cells": {"chasing": 0}}, "no events"),
     ({"planner": "slow"}, "slow"),
