@@ -492,6 +492,7 @@ _TEXT_SIZE: Final = 13
 _LEGEND_TEXT_SIZE: Final = (17, 2)
 """Least text size of the legend, pixels, and its growth per column: large pages look small."""
 
+_LEGEND_LINE: Final = 3  # half text sizes from line to line
 _CAPTION_COLOUR: Final[Colour] = (60, 60, 60)
 _SHEET_FINE: Final = 3
 _SHEET_PALE: Final = 0.55
@@ -555,15 +556,16 @@ def _page(
     """Return a page; ``done`` is called after each event."""
     caption = _CAPTION if captions else 0
     text_size = max(_LEGEND_TEXT_SIZE[0], _LEGEND_TEXT_SIZE[1] * columns)
-    legend = 2 * text_size if captions else 0
     across, down = THUMBNAIL + _GAP, THUMBNAIL + caption + _GAP
+    width = 2 * _MARGIN - _GAP + columns * across
+    lines = _legend(events, text_size, width) if captions else []
+    legend = (_LEGEND_LINE * len(lines) + 1) * text_size // 2 if captions else 0
     size = (
-        2 * _MARGIN - _GAP + columns * across,
+        width,
         2 * _MARGIN - _GAP + legend + math.ceil(len(events) / columns) * down,
     )
     picture = Image.new("RGB", size, Painter.background)
-    if captions:
-        _write_legend(picture, events, text_size)
+    _write_legend(picture, lines, text_size)
     for index, event in enumerate(events):
         row, column = divmod(index, columns)
         x, y = _MARGIN + column * across, _MARGIN + legend + row * down
@@ -600,8 +602,10 @@ def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
     draw.text((x, middle), text, fill=_CAPTION_COLOUR, font=font, anchor="lm")
 
 
-def _write_legend(picture: Image.Image, events: Sequence[Event], text_size: int) -> None:
-    """Write the numbers of events, in all and of each scenario, as far as there is room."""
+def _legend(
+    events: Sequence[Event], text_size: int, width: int
+) -> list[list[tuple[Colour | None, str, int]]]:
+    """Return lines of a legend: numbers of events, in all and of each scenario, each with its x."""
     found = Counter(map(_scenario, events))
     entries: list[tuple[Colour | None, str]] = [
         (None, f"{len(events)} event{'' if len(events) == 1 else 's'}"),
@@ -609,15 +613,35 @@ def _write_legend(picture: Image.Image, events: Sequence[Event], text_size: int)
     ]
     if found[""]:
         entries.append((UNKNOWN_COLOUR, f"of no known scenario {found['']}"))
+    font, x = ImageFont.load_default(text_size), _MARGIN
+    lines: list[list[tuple[Colour | None, str, int]]] = [[]]
+    for colour, text in entries:
+        wide = round(font.getlength(text)) + (0 if colour is None else _before_text(text_size))
+        if lines[-1] and x + wide > width - _MARGIN:
+            lines.append([])
+            x = _MARGIN
+        lines[-1].append((colour, text, x))
+        x += wide + 2 * text_size
+    return lines
+
+
+def _before_text(text_size: int) -> int:
+    """Return the width of a legend's chip and the gap after it."""
+    return round(0.7 * text_size) + text_size // 2
+
+
+def _write_legend(
+    picture: Image.Image, lines: list[list[tuple[Colour | None, str, int]]], text_size: int
+) -> None:
+    """Write a legend at the top of a picture."""
     font, draw = ImageFont.load_default(text_size), ImageDraw.Draw(picture)
     chip = round(0.7 * text_size)
-    x, middle = _MARGIN, _MARGIN + text_size // 2
-    for colour, text in entries:
-        start = x if colour is None else x + chip + text_size // 2
-        if start + font.getlength(text) > picture.width:
-            return
-        if colour is not None:
-            top = middle - chip // 2
-            draw.rectangle((x, top, x + chip - 1, top + chip - 1), fill=colour)
-        draw.text((start, middle), text, fill=_CAPTION_COLOUR, font=font, anchor="lm")
-        x = start + round(font.getlength(text)) + 2 * text_size
+    for number, line in enumerate(lines):
+        middle = _MARGIN + text_size // 2 + number * _LEGEND_LINE * text_size // 2
+        for colour, text, x in line:
+            start = x
+            if colour is not None:
+                top = middle - chip // 2
+                draw.rectangle((x, top, x + chip - 1, top + chip - 1), fill=colour)
+                start += _before_text(text_size)
+            draw.text((start, middle), text, fill=_CAPTION_COLOUR, font=font, anchor="lm")

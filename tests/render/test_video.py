@@ -281,6 +281,12 @@ def test_a_sheet_has_a_thumbnail_and_a_colour_for_each_event(tmp_path: Path) -> 
     with Image.open(file) as picture:
         assert 2 * THUMBNAIL < picture.width < 2.5 * THUMBNAIL
         with_words = picture.height
+    contact_sheet([one, unknown], tmp_path / "sheet.png", columns=1)
+    with Image.open(file) as picture:  # the key of each colour is above the thumbnails
+        one_column = picture.height
+        above = picture.convert("RGB").crop((0, 0, picture.width, one_column - 2 * THUMBNAIL - 70))
+        found = {colour for _, colour in above.getcolors(10**6)}  # type: ignore[misc, union-attr]
+    assert {SCENARIO_COLOURS["competing"], UNKNOWN_COLOUR} <= found
     contact_sheet([one, unknown], tmp_path / "sheet.png", columns=1, captions=False)
     assert UNKNOWN_COLOUR not in colours(file)
     with Image.open(file) as picture:
