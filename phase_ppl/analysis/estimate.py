@@ -138,24 +138,26 @@ class Estimate(float):
 
     Attributes:
         error: standard error; NaN: unknown, printed as 0.83 ± unknown.
+        why: why value or error are unknown, printed behind them; "": they are not, or none is told.
     """
 
     error: float
+    why: str
 
-    def __new__(cls, value: float, error: float = math.nan) -> Estimate:
+    def __new__(cls, value: float, error: float = math.nan, why: str = "") -> Estimate:
         try:
             self = super().__new__(cls, value)
-            self.error = float(error)
+            self.error, self.why = float(error), why
         except (TypeError, ValueError):
             given = f"Estimate({shown(value)}, {shown(error)})"
             raise InvalidSettingError(f"{given}, expected a number and its error") from None
         return self
 
-    def __getnewargs__(self) -> tuple[float, float]:  # type: ignore[override]
-        return float(self), self.error
+    def __getnewargs__(self) -> tuple[float, float, str]:  # type: ignore[override]
+        return float(self), self.error, self.why
 
     def __repr__(self) -> str:
-        return with_error(float(self), self.error)
+        return with_error(float(self), self.error) + (self.why and f" ({self.why})")
 
     __str__ = __repr__
 

@@ -246,23 +246,32 @@ class Posterior(EventPosterior):
         The kernels ``importance`` and ``amis`` estimate it, with an error by the jackknife over
         chains; and ``smc``, whose error is NaN: one population does not tell it, runs with other
         seeds do. NaN: the kernel estimates none, the prior was changed since, or what was sampled
-        is what the closed loop had read, whose own ``log_evidence`` is the sum.
+        is what the closed loop had read, whose own ``log_evidence`` is the sum. The estimate's
+        ``why`` says which.
         """
-        stats = self._tree["sample_stats"].dataset
-        changed = self._looked_up or trees.changed_text(self.settings)
-        if "log_evidence" not in stats or changed:
-            return estimate.Estimate(math.nan)
+        stats, why = self._tree["sample_stats"].dataset, ""
+        if self._looked_up:
+            why = "the closed loop that was sampled has it: ask its log_evidence"
+        elif trees.changed_text(self.settings):
+            why = "of the prior before it was changed: infer anew"
+        elif "log_evidence" not in stats:
+            why = f"{self._attrs['kernel']} does not estimate it: use smc, importance or amis"
+        if why:
+            return estimate.Estimate(math.nan, why=why)
         value, log_weight = float(stats["log_evidence"].values[0, -1]), stats["log_weight"].values
         groups = chain_groups(self._tree)
         n = int(groups.max()) + 1
         if log_weight.shape[1] == 1 or n < 2:  # a population, or a single chain
-            return estimate.Estimate(value)
+            what = "a single population or chain does not tell the error"
+            return estimate.Estimate(value, why=f"{what}: repeat with other seeds")
         mass = np.bincount(groups, normalised(log_weight.ravel()).reshape(log_weight.shape).sum(1))
         size = np.bincount(groups) / len(groups)
         with np.errstate(divide="ignore", invalid="ignore"):  # all is of one group
             error = math.sqrt((n - 1) * np.var(np.log((1 - mass) / (1 - size))))
         factor = estimate.LEARNT if self._attrs.get("adapts") else 1.0
-        return estimate.Estimate(value, factor * error if math.isfinite(error) else math.nan)
+        if math.isfinite(error):
+            return estimate.Estimate(value, factor * error)
+        return estimate.Estimate(value, why="a few chains have all the weight: take more")
 
     def under(self, prior: Callable[..., object]) -> Posterior:
         if self._weights == "likelihood":

@@ -171,7 +171,8 @@ class Calibration(Printed):
             for name, part in self._parts.items()
         }
         reliability = {name: self.reliability(name) for name in self._parts}
-        title = f"{self._name}: {len(self.evaluation.predictions)} videos drawn from the prior"
+        n = len(self.evaluation.predictions)
+        title = f"{self._name}: {n} video{'s' * (n != 1)} drawn from the prior"
         return ranks_and_reliability(title, ranks, reliability, self.notes, path)
 
     def __str__(self) -> str:
@@ -209,7 +210,10 @@ class Calibration(Printed):
 
     @property
     def _name(self) -> str:
-        return self.evaluation.name
+        settings, name = self.evaluation.settings, self.evaluation.name
+        # "simple" is the name of any kernel's runs, with any simulator
+        kernel = settings["options"].get("kernel")
+        return str(kernel or ("closed loop" if name == "stepwise" else name))
 
     @functools.cached_property
     def _parts(self) -> dict[str, pd.DataFrame]:

@@ -183,8 +183,8 @@ class ModelComparison(Printed):
         Returns:
             A row per event and model: ``log_evidence`` of the posterior, nats, and its Monte-Carlo
             ``error`` (NaN: unknown); the ``difference`` from the model ``against``, or from the
-            first, and ``difference_error``, as of independent runs. Events without a posterior of a
-            model are left out.
+            first, and ``difference_error``, as of independent runs; and a ``note``, why something
+            is unknown. Events without a posterior of a model are left out.
 
         Raises:
             InvalidSettingError: no posteriors were kept, or some are of the closed loop and some of
@@ -199,20 +199,21 @@ class ModelComparison(Printed):
                 if (post := kept.posterior(event_id)) is not None:
                     kinds.add(type(post).__name__)
                     evidence = post.log_evidence
-                    rows.append((event_id, one.name, float(evidence), evidence.error))
+                    rows.append((event_id, one.name, float(evidence), evidence.error, evidence.why))
         if len(kinds) != 1:
             why = "no evaluation has kept posteriors: evaluate with out=FOLDER"
             both = (
                 "the closed loop's density is of positions and angles, that of kernels of positions"
             )
             raise InvalidSettingError(f"log evidence cannot be compared: {both if kinds else why}")
-        found = pd.DataFrame(rows, columns=["event", "model", "log_evidence", "error"])
+        found = pd.DataFrame(rows, columns=["event", "model", "log_evidence", "error", "note"])
         base = found[found["model"] == (self.settings["against"] or self.models[0])]
         base = found[["event"]].merge(base, how="left", on="event")
         same = found["model"] == base["model"]
         found["difference"] = found["log_evidence"] - base["log_evidence"]
         error = np.hypot(found["error"], base["error"])
-        return found.assign(difference_error=error.mask(same, 0.0))
+        found["difference_error"] = error.mask(same, 0.0)
+        return found.assign(note=found.pop("note"))
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write everything into a folder: comparison.json and events.json.

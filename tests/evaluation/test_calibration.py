@@ -160,6 +160,13 @@ def test_the_closed_loop_is_asked_about_strengths_too() -> None:
     assert strengths["truth"].isna().all()
     assert found.reliability("strength_red")["probability"].tolist() == [0.5, 0.8, 0.9, 0.95]
     assert any("a frame counts 0.5" in note for note in found.notes)
+    assert str(found).split()[:3] == ["calibration", "closed", "loop:"]
+
+
+def test_a_kernels_calibration_has_its_name(tmp_path: Path) -> None:
+    found = ppl.calibrate(MODEL, 1, kernel="enumerate", **QUIET)
+    title = found.plot(tmp_path / "ranks.png").get_suptitle()
+    assert title == "enumerate: 1 video drawn from the prior"
 
 
 class OnlyKnows:

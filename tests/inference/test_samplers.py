@@ -214,6 +214,8 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
     estimates = kernel in ("smc", "importance", "amis")
     assert np.isfinite(post.log_evidence) == estimates
     assert np.isfinite(post.log_evidence.error) == (estimates and kernel != "smc")
+    reason = "other seeds" if kernel == "smc" else "use smc, importance or amis"
+    assert (reason in str(post.log_evidence)) == (kernel not in ("importance", "amis"))
     assert post.tree.attrs["validity"] == info.validity
     if kernel == "enumerate":
         assert post.cost["simulations"] == np.isfinite(weight).sum() == 44
