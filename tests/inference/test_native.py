@@ -245,6 +245,8 @@ def test_numpyros_gibbs_visits_goals_by_the_posterior_given_the_rest(
         goals = ppl.Hypothesis(RED_GOALS[r], GREEN_GOALS[g], alpha).effective_goals
         mass[r, g, a] *= np.exp(-0.05 * ERRORS[goals][1].sum())
     assert total_variation(share, mass / mass.sum()) < 0.1
+    together, apart = (sampled(kernel, 3, 2, m).get_samples() for m in (jax.vmap, "sequential"))
+    assert all((apart[name] == values).all() for name, values in together.items())
 
 
 def test_aies_runs_on_uniform_numbers(program: OpenProgram) -> None:
