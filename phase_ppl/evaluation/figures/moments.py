@@ -26,7 +26,6 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
@@ -183,7 +182,8 @@ def by_moment(source: Source, path: PathLike | None = None) -> Figure:
             found = [(of["at"], of[among]["value"])
                      for of in models[0].metrics["moments"]["by_moment"] if of[among]]  # fmt: skip
             if found:
-                _line(axes, *zip(*found, strict=True), None, GREY, lw=1.3, ls=(0, (4, 2)))
+                at, value = zip(*found, strict=True)
+                _line(axes, at, value, None, GREY, lw=1.3, ls=(0, (4, 2)))
             _timed(axes, moments)
             if name.endswith("_r"):
                 axes.axhline(0, color=INK, lw=0.6)
@@ -209,7 +209,7 @@ def _line(
     from matplotlib.transforms import ScaledTranslation
 
     alone = len(np.asarray(at)) == 1
-    drawn: list[Artist] = axes.plot(
+    drawn: list[Any] = axes.plot(
         at, value, color=colour, **{"lw": 1.8, **style, **(_ALONE if alone else {})}
     )
     if within is not None and alone:
