@@ -97,7 +97,9 @@ class Summary(Hypotheses):
         rows = Rows(words.completed(columns), mass, {"hypothesis": np.arange(len(row))})
         super().__init__(space, words.quantities, rows)
         self._title, self._is_summed = title, not drawn
-        self._alphas, self._further = list(space.alpha_names) or [ALPHA_SITE], further or {}
+        known = (*space.alpha_names, ALPHA_SITE)
+        self._alphas = [name for name in known if name in words.quantities]
+        self._further = further or {}
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Return one without error, where all hypotheses are summed."""

@@ -18,7 +18,6 @@ Monte-Carlo means.
 from __future__ import annotations
 
 import functools
-import math
 from typing import Any, Final, Self
 
 import numpy as np
@@ -292,8 +291,9 @@ class Table:
         value, *without = [log_sum_exp(masses) for masses in self.log_masses(frame, 1.0)]
         if self.is_exact:
             return Estimate(value, 0.0)
-        sets = over_sets(np.reshape(without, (-1, 1)))
-        return Estimate(value, math.nan if sets is None else float(sets.error(without, value)))
+        if (sets := over_sets(np.reshape(without, (-1, 1)))) is None:
+            return Estimate(value, why="one set of searches: planner_seeds=4")
+        return Estimate(value, float(sets.error(without, value)))
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:

@@ -125,11 +125,12 @@ def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Even
 
 def _inside(folder: Path) -> str:
     """Return which of the first files of a folder are event files, in words; "": none."""
-    first = itertools.islice(folder.iterdir(), _LOOKED_AT)
-    files = sorted(one for one in first if one.suffix in SUFFIXES and one.is_file())
-    found = []
+    files, found = [], []
+    with contextlib.suppress(OSError):
+        first = itertools.islice(folder.iterdir(), _LOOKED_AT)
+        files = sorted(one for one in first if one.suffix in SUFFIXES and one.is_file())
     for file in files[:_TRIED]:
-        with contextlib.suppress(PhasePPLError):
+        with contextlib.suppress(PhasePPLError, OSError):
             if file.stat().st_size <= _SMALL and _entries(file):
                 found.append(file.name)
     are = "are event files" if len(found) > 1 else "is an event file"

@@ -48,8 +48,8 @@ _NOT_AVAILABLE: Final = frozenset(
 )
 """Texts that R, pandas, spreadsheets, statistics programs and JSON write for missing values."""
 
-_MARKED: Final = ("true", "1", "yes")
-_NOT_MARKED: Final = ("false", "0", "no", "")
+_MARKED: Final = ("true", "t", "1", "1.0", "yes")
+_NOT_MARKED: Final = ("false", "f", "0", "0.0", "no", "")
 
 _INDEX: Final = re.compile(r"|Unnamed: \d+")
 """Names that pandas and Excel give to columns that have none."""

@@ -255,10 +255,13 @@ def _check_not_given(sites: Sites) -> None:
     """
     givers = [h for h in _PYRO_STACK if isinstance(h, _GIVERS)]
     for name, value in sites.items():
-        site = {"type": "sample", "name": name, "fn": dist.Unit(0.0), "value": value}
+        site = {"name": name, "fn": dist.Unit(0.0), "value": value}
         site |= {"kwargs": {"rng_key": None}, "is_observed": True}
         for handler in givers:
-            handler.process_message(site)
+            replays = isinstance(handler, handlers.substitute)  # Predictive's, which may skip this
+            if not (replays and "uniform" in (handler.data or {})):  # else all follows from that
+                site["type"] = "deterministic" if replays else "sample"
+                handler.process_message(site)
         if site["value"] is not value:
             raise InvalidSettingError(
                 f"a handler gives {name}, which follows from the numbers of program.uniform and "

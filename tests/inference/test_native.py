@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from jax import random
 from numpyro import handlers
-from numpyro.infer import AIES, MCMC, NUTS, SA, DiscreteGibbs
+from numpyro.infer import AIES, MCMC, NUTS, SA, DiscreteGibbs, Predictive
 from numpyro.infer.inspect import get_model_relations
 from numpyro.infer.util import log_density
 
@@ -255,6 +255,9 @@ def test_aies_runs_on_uniform_numbers(program: OpenProgram) -> None:
     post = ppl.Posterior.from_numpyro(mcmc)
     assert post.tree["posterior"].sizes["draw"] == 60
     assert post.settings["kernel"]["name"] == "AIES"
+    some = {name: values[:3] for name, values in mcmc.get_samples().items()}
+    replayed = Predictive(program.uniform, some, return_sites=["goal_red"])(KEY)["goal_red"]
+    np.testing.assert_array_equal(replayed, some["goal_red"])
 
 
 @pytest.mark.parametrize("handler", [handlers.condition, handlers.substitute, handlers.do])

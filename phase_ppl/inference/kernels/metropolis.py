@@ -89,6 +89,8 @@ class EventKernel(MCMCKernel):
                 f"{type(self).__name__}({shown(program)}): expected the phase_ppl.program itself, "
                 f"whose prior a handler does not change; {HOW_TO_CONDITION}"
             )
+        if guide is not None and not hasattr(guide, "draw"):
+            raise InvalidSettingError(f"guide={shown(guide)}, expected one with draw and log_prob")
         self._program = program
         self._guide = guide
         # one of ``phase_ppl.program`` has settings, and a guide by them
