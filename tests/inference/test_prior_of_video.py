@@ -173,5 +173,7 @@ def test_a_summary_says_what_alpha_comes_to_for_relations() -> None:
     assert sum(told["goals"]["red agent"].values()) == pytest.approx(1.0)
     assert "friendly" in str(found)
     assert "helping" in str(found)
+    alone = ppl.World(agents=["red agent"], items=["blue item"], landmarks={"home": (6, 6)})
+    assert "alpha" not in str(ppl.priors.summary(ppl.roles.uniform, world=alone))
     assert "(0, 0) 0.33, (1, 0) 0.25" in str(found)
     assert "patience     mean 0.25" in str(found)

@@ -190,7 +190,7 @@ WRONG: dict[str, tuple[Any, str]] = {
     "a chain": (
      {"relation": {("red agent", "green agent"): "help", ("green agent", "purple agent"): "help"}},
      "the red agent cannot help or hinder the green agent, who pursues no goal of its own"),
-    "no pair": ({"relation": {"red agent": "help"}}, "expected (who, whom)"),
+    "no pair": ({"relation": {"red agent": "help"}}, "relation of 'red agent', expected {("),
     "no force": ({"strength": {"red agent": -1}}, "strength of the red agent=-1 is no positive"),
     "force of nobody": ({"strength": {"ball": 1}}, "unknown agent 'ball'"),
     "no roles": ({"goals": None}, "expected a phase_ppl.Hypothesis, or goals="),

@@ -80,8 +80,7 @@ def test_a_reading_is_that_of_the_saved_event_and_going_back_repeats_the_game(
     assert track[-1][0, 0] < track[0][0, 0] - 0.1, "it drives ahead, to the left"
     assert event.truth.goal_red == "Get red agent to blue lm"
     np.testing.assert_allclose(again, track[:5], atol=1e-3)
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
-    post = ppl.infer(event, model).at(4)
+    post = ppl.infer(event, reader.MODEL).at(4)
     np.testing.assert_allclose(found["goals"][0], post.marginal("goal_red"), atol=1e-3)
 
 

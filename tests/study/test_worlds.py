@@ -165,7 +165,7 @@ def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
     (note,) = capfd.readouterr().err.splitlines()
     assert "who is responsible" in note, "nothing of anybody is in a log"
     rows = table(out / "judgments.csv")
-    columns = ["participant", "video", *questions_of(world), "response_time"]
+    columns = ["participant", "video", *questions_of(world), "response_time", "rehearsal"]
     assert [list(row) for row in rows] == [columns] * (3 * len(study.events))
     for row in rows:
         assert {q: row[q] for q in questions_of(world)} == dict(sure[row["video"]].answers)
