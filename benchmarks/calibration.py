@@ -5,9 +5,9 @@
     python benchmarks/calibration.py --simple [--frames N] [--out FOLDER]
 
 ``ppl.calibrate`` with a kernel on the tests' fast simulator, whose agents walk to their goals, and
-informative noise. Kernels with weighted draws are refused. Or with the closed loop or SIMPLE as it
-is by default, on videos of the joint simulator in random scenes. ``--out`` continues what is in the
-folder.
+informative noise. Kernels with weighted draws are refused. Or with the closed loop or a kernel, by
+default SIMPLE's, on videos of the joint simulator in random scenes. ``--out`` continues what is in
+the folder.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
         model = ppl.Model(likelihood=likelihood)
         found = ppl.calibrate(model, options.events, frames=options.frames or 31, **how)
     elif options.simple:
-        how["kernel"] = "local_mh"
+        how["kernel"] = options.kernel
         found = ppl.calibrate(ppl.Model(), options.events, frames=options.frames or 31, **how)
     else:
         model = ppl.Model(simulator=walkers, likelihood=ppl.RadialLikelihood(BETA))

@@ -27,7 +27,8 @@ LIKELIHOOD: Final = ppl.StepwiseLikelihood(planner_seeds=1, weight=0.3)
 MODEL: Final = ppl.Model(likelihood=LIKELIHOOD)
 """What reads: the closed loop with one set of searches, the fastest.
 
-Bodies move as in the model, so a frame counts more than in videos: 0.3 is calibrated there.
+Bodies move as in the model, so a frame counts more than the usual 0.2, which allows for recordings
+whose agents plan otherwise. On videos drawn from this likelihood 0.3 is about calibrated.
 """
 
 WHY_EVERY: Final = 4  # frames: once a second

@@ -42,9 +42,8 @@ def answer_lines(
         lines += bars(label, [(one, None if one in without else p) for one, p in of.top(name, 4)])
     for place, (agent, name) in enumerate(of.strengths_of.items()):
         if levels:
-            shares = of.table.weights / of.table.weights.sum()
-            at = [shares[of.table.values[name] == level].sum() for level in levels]
-            text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, at, strict=True))
+            shares = [of.probability(**{name: (level, level)}) for level in levels]
+            text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
             text = f"{of.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"

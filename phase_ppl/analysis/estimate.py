@@ -337,7 +337,8 @@ def widened(size: float) -> float:
 def over_sets(without: ArrayLike) -> Jackknife | None:
     """Return the jackknife over sets of searches, given (set, row) weights without each.
 
-    Sets are few, so errors are :func:`widened`. None: a single set.
+    Sets are few, so errors are :func:`widened`: with two by less than Student's t, of which 1.96
+    errors would be 12.7 spreads. None: a single set.
     """
     weights = np.asarray(without, np.float64)
     n = len(weights)

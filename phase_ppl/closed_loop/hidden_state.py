@@ -111,7 +111,6 @@ _LEAST: Final = 20.0  # log weight below the best at which a state is dropped
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
 
-
 _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken for the same, units/s
 
 

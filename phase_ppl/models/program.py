@@ -121,7 +121,10 @@ class EventProgram:
         with handlers.trace() as trace:
             self.model.prior()
         sites = {name: trace[name]["value"] for name in self.model.sites}
-        seed = numpyro.deterministic(SEED_SITE, self._fixed_seed(sites)) if drawn is None else drawn
+        seed = self._fixed_seed(sites) if drawn is None else drawn
+        if drawn is None:
+            _check_not_given({SEED_SITE: seed})
+            numpyro.deterministic(SEED_SITE, seed)
         errors = self.simulate(sites, self.log_prior(sites), seed)
         numpyro.deterministic("step_error", errors)
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
@@ -264,7 +267,7 @@ def _check_not_given(sites: Sites) -> None:
                 handler.process_message(site)
         if site["value"] is not value:
             raise InvalidSettingError(
-                f"a handler gives {name}, which follows from the numbers of program.uniform and "
+                f"a handler gives {name}, which follows from the other sites of this program and "
                 f"cannot be set there: {HOW_TO_CONDITION}"
             )
 

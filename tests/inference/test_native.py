@@ -154,6 +154,9 @@ def test_fixed_noise_is_no_site(program: OpenProgram) -> None:
             assert len(seeds) == 1
         assert drawn(fixed, KEY)["sim_seed"]["type"] == "deterministic"
         assert drawn(fixed.uniform, KEY)["uniform"]["value"].shape == (5,)
+        for handler in (handlers.condition, handlers.substitute):
+            with pytest.raises(InvalidSettingError, match="gives sim_seed, which follows"):
+                handlers.seed(handler(fixed, {"sim_seed": jnp.int32(5)}), KEY)()
     assert drawn(program.uniform, KEY)["uniform"]["value"].shape == (6,)
 
 
