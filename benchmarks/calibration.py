@@ -2,22 +2,28 @@
 
     python benchmarks/calibration.py [--kernel NAME] [--events N] [--json FILE] [--figure FILE]
     python benchmarks/calibration.py --closed-loop [--weight W] [--frames N] [--out FOLDER]
+                                     [--weights W W ...]
     python benchmarks/calibration.py --simple [--frames N] [--out FOLDER]
 
 ``ppl.calibrate`` with a kernel on the tests' fast simulator, whose agents walk to their goals, and
 informative noise. Kernels with weighted draws are refused. Or with the closed loop or a kernel, by
 default SIMPLE's, on videos of the joint simulator in random scenes. ``--out`` continues what is in
-the folder.
+the folder; with it ``--weights`` weighs the same readings anew, by what a frame counts.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import common
+import numpy as np
+import pandas as pd
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.evaluation.table import true_answers
 from phase_ppl.inference.registry import kernel_info
 from tests.inference.toy import walkers, walking_event
 
@@ -38,6 +44,7 @@ def main() -> None:
     parser.add_argument("--closed-loop", action="store_true")
     parser.add_argument("--simple", action="store_true")
     parser.add_argument("--weight", type=float, help="what a frame counts in the closed loop")
+    parser.add_argument("--weights", type=float, nargs="+", default=[])
     parser.add_argument("--frames", type=int, help="by default 31, of the fast simulator 12")
     parser.add_argument("--events", type=int, default=200)
     parser.add_argument("--iterations", type=int, default=200)
@@ -68,11 +75,30 @@ def main() -> None:
             **how,
         )
     print(found)
+    if options.weights and options.closed_loop and options.out:
+        print(reweighed(Path(options.out), options.weights).round(3).to_string())
     ranks = {name: part.tolist() for name, part in found.table.groupby("quantity")["rank"]}
     report = {"settings": vars(options), "ranks": ranks, "notes": found.notes}
     common.write({**report, "summary": found.summary.to_dict("index")}, options.json)
     if options.figure:
         found.plot(options.figure)
+
+
+def reweighed(out: Path, weights: list[float]) -> pd.DataFrame:
+    """Return how often the top answer is right, its probability and the log score, by weight."""
+    rows = []
+    for event in ppl.load_events(out / "events.json"):
+        (folder,) = (out / "events").glob(f"*-{event.id}")
+        post = ppl.load_posterior(folder / "posterior.nc")
+        answers = true_answers(event)
+        for weight in weights:
+            anew = StepwisePosterior(post.dataset.assign_attrs(weight=weight), prior=post.prior)
+            for question, truth in answers.items():
+                p = anew.marginal(question).to_series()
+                kind = question.split("_")[0]
+                rows.append((weight, kind, p.idxmax() == truth, p.max(), np.log(p[truth])))
+    table = pd.DataFrame(rows, columns=["weight", "kind", "right", "confidence", "log score"])
+    return table.groupby(["weight", "kind"]).mean()
 
 
 def ranked_kernels() -> list[str]:

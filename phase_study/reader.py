@@ -28,7 +28,7 @@ MODEL: Final = ppl.Model(likelihood=LIKELIHOOD)
 """What reads: the closed loop with one set of searches, the fastest.
 
 Bodies move as in the model, so a frame counts more than the usual 0.2, which allows for recordings
-whose agents plan otherwise. On videos drawn from this likelihood 0.3 is about calibrated.
+whose agents plan otherwise. On videos of the model's own 0.3 is nearly calibrated.
 """
 
 WHY_EVERY: Final = 4  # frames: once a second
