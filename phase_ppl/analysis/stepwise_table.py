@@ -292,7 +292,7 @@ class Table:
         if self.is_exact:
             return Estimate(value, 0.0)
         if (sets := over_sets(np.reshape(without, (-1, 1)))) is None:
-            return Estimate(value, why="one set of searches: planner_seeds=4")
+            return Estimate(value, why="of one set of searches; planner_seeds=4 tells it")
         return Estimate(value, float(sets.error(without, value)))
 
     @functools.cached_property
