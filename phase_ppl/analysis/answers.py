@@ -42,7 +42,8 @@ def answer_lines(
         lines += bars(label, [(one, None if one in without else p) for one, p in of.top(name, 4)])
     for place, (agent, name) in enumerate(of.strengths_of.items()):
         if levels:
-            shares = [of.probability(**{name: (level, level)}) for level in levels]
+            events: list[dict[str, Any]] = [{name: (level, level)} for level in levels]
+            shares = [of.probability(**event) for event in events]
             text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
