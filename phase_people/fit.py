@@ -241,9 +241,13 @@ class PeopleFit(FittedObserver):
         return self._left_out_weights[1]
 
     @functools.cached_property
+    def _doubtful(self) -> list[int]:
+        return np.flatnonzero((self.pareto_k > UNRELIABLE) & (self.answers.judged > 0)).tolist()
+
+    @functools.cached_property
     def _refits(self) -> dict[int, PeopleFit]:
-        doubtful = np.flatnonzero((self.pareto_k > UNRELIABLE) & (self.answers.judged > 0))
-        return {int(i): self.without([int(i)]) for i in doubtful}
+        what = "fitting again without each doubtful video"
+        return {i: self.without([i]) for i in ppl.counted(self._doubtful, None, "video", what)}
 
     def without(self, places: Sequence[int]) -> PeopleFit:
         """Return the fit to all events except those at ``places``."""
@@ -255,15 +259,23 @@ class PeopleFit(FittedObserver):
             chains=self.chains, seed=self.seed,
         )  # fmt: skip
 
+    @property
+    def _smoothed_elpd(self) -> FloatArray:
+        weights = self._left_out_weights[0]
+        return np.asarray(np.logaddexp.reduce(np.log(weights) + self.log_likelihood.T, axis=1))
+
     @functools.cached_property
     def elpd(self) -> FloatArray:
-        """(event,) log predictive density of a video's answers, fitted without them, in nats."""
-        weights = self._left_out_weights[0]
-        found = np.logaddexp.reduce(np.log(weights) + self.log_likelihood.T, axis=1)
+        """(event,) log predictive density of a video's answers, fitted without them, in nats.
+
+        It is estimated from the draws of this fit. Where Pareto's k exceeds 0.7, it is fitted again
+        without the video, which takes as long as this fit.
+        """
+        found = self._smoothed_elpd
         for i, fit in self._refits.items():
             logs = fit.log_likelihood[:, i]
             found[i] = np.logaddexp.reduce(logs) - np.log(len(logs))
-        return np.asarray(found)
+        return found
 
     @functools.cached_property
     def left_out(self) -> dict[str, ppl.Prediction]:
@@ -283,9 +295,11 @@ class PeopleFit(FittedObserver):
         return _predictions(self.evidence, shares)
 
     def __repr__(self) -> str:
+        n = len(self._doubtful)
         return (
             f"<PeopleFit of {self.name or self.observer!r}: {int(self.answers.judged.sum())} "
-            f"videos, ELPD {self.elpd.sum():.1f}>"
+            f"videos, ELPD {self._smoothed_elpd.sum():.1f}"
+            + (f" (not reliable for {n} of them; .elpd fits again)>" if n else ">")
         )
 
 
@@ -301,12 +315,14 @@ def sampled(
     warmup: int = 500,
     chains: int = 2,
     seed: int = 0,
+    progress: bool | None = False,
 ) -> PeopleFit:
     """Draw the parameters of an observer from their posterior given people's answers."""
     counted = answers.judged if left_out is None else answers.judged * (1 - left_out)
     questions = tuple(q for q in evidence.answers if q in answers.counts)
     given = _given(evidence, questions)
     mcmc = _sampler(observer, given, answers, draws, warmup, chains)
+    mcmc.progress_bar = ppl.progress_is_shown(progress)  # NumPyro's, for each chain
     mcmc.run(jax.random.key(seed), jnp.asarray(counted), given.numbers)
     found = {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
     parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}

@@ -37,7 +37,8 @@ def fit_people(
 ) -> PeopleFit:
     """Fit an observer to people's answers by NUTS.
 
-    Answers of known raters are modelled by rater. Response times of a study are part of the
+    Answers of known raters are modelled by rater, which takes several times as long as numbers of
+    answers alone. Response times of a study are part of the
     likelihood (:func:`~phase_people.answers.people`).
 
     Args:
@@ -57,7 +58,8 @@ def fit_people(
             closed loop, or its predictions know the moments.
         draws, warmup, chains: of NUTS; draws and warmup are per chain.
         seed: of NUTS, of the readings and of the model.
-        workers, progress, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
+        progress: whether to show progress bars. None: only in a terminal and in notebooks.
+        workers, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
 
     Raises:
         InvalidEventError: nobody judged any event, or something cannot be read.
@@ -83,8 +85,9 @@ def fit_people(
     answers = Answers.of(chosen, study)
     evidence = evidence_from(chosen, source, perception, **asking)
     found = sampled(
-        program, name, evidence, answers, draws=draws, warmup=warmup, chains=chains, seed=seed
-    )
+        program, name, evidence, answers, draws=draws, warmup=warmup, chains=chains, seed=seed,
+        progress=progress,
+    )  # fmt: skip
     return dataclasses.replace(found, perception=perception)
 
 

@@ -130,6 +130,7 @@ from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.predicates import Predicate as Predicate
 from phase_ppl.world.progress import counted as counted
+from phase_ppl.world.progress import progress_is_shown as progress_is_shown
 from phase_ppl.world.scene import Scene as Scene
 from phase_ppl.world.scene import World as World
 

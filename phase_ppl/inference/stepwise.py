@@ -37,7 +37,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event, Observation
-from phase_ppl.world.progress import counted, is_shown
+from phase_ppl.world.progress import counted, progress_is_shown
 from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
 
@@ -333,7 +333,7 @@ def filtered_frames(
 
 def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
     """Yield the frames, and say on stderr how long all of them will take."""
-    if progress is False or is_shown(progress):
+    if progress is False or progress_is_shown(progress):
         yield from counted(frames, progress, "frame", "reading")
         return
     begun: list[float] = []

@@ -17,7 +17,7 @@ WARMING_UP: Final = "warming up (compiles the first time)"
 Item = TypeVar("Item")
 
 
-def is_shown(shown: bool | None) -> bool:
+def progress_is_shown(shown: bool | None) -> bool:
     """Return whether to show a bar; None: where stderr is a terminal, and in notebooks.
 
     Raises:
@@ -48,8 +48,10 @@ class Bar(tqdm):
         what: str,
         items: Iterable[Any] | None = None,
     ) -> None:
-        how = {"disable": not is_shown(shown), "file": sys.stderr, "unit": unit, "desc": what}
-        super().__init__(items, total=total, initial=done, **how)
+        super().__init__(
+            items, total=total, initial=done, disable=not progress_is_shown(shown),
+            file=sys.stderr, unit=unit, desc=what,
+        )  # fmt: skip
 
     @property
     def format_dict(self) -> dict[str, Any]:

@@ -61,4 +61,4 @@ def test_the_rate_is_of_what_was_simulated_here_without_the_compiling(
 def test_whether_there_is_a_bar_is_yes_or_no() -> None:
     for odd in ("no", np.array([1, 2]), [True]):
         with pytest.raises(InvalidSettingError, match="expected True, False or None"):
-            progress.is_shown(odd)  # type: ignore[arg-type]
+            progress.progress_is_shown(odd)  # type: ignore[arg-type]
