@@ -380,7 +380,7 @@ class Diagnostics(Printed, dict[str, Any]):
         for name, entry in self["scalars"].items():
             sizes = [_number(entry[f"ess_{of}"], 0) for of in ("bulk", "tail")]
             lines.append(_row(name.replace("_", " "), [_number(entry["r_hat"]), *sizes], 12))
-        lines += ["", _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7)]
+        lines += ["", _row("", ("P", "share", "MCSE", "ESS", "R-hat"), 7)]
         for name, categories in self["categories"].items():
             label = name.replace("_", " ")
             for category, entry in categories.items():
@@ -391,9 +391,9 @@ class Diagnostics(Printed, dict[str, Any]):
             if (apart := self["between_chain_tv"].get(name)) is not None:
                 lines += wrapped(
                     "",
-                    f"the same goal leads in {self['agreement'][name]:.0%} of the particles; two "
-                    f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
-                    "(total variation)",
+                    f"the same goal leads in {self['agreement'][name]:.0%} of the particles; total "
+                    f"variation between two of them {apart['mean']:.2f} on average, "
+                    f"{apart['max']:.2f} at most",
                 )
             lines.append("")
         return "\n".join([*lines, *verdict_lines(self)])

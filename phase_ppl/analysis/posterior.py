@@ -527,8 +527,9 @@ class Posterior(EventPosterior):
             noise = 2 * self.observed().shape[1] / beta
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
-            words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"
-            return f"tempered: {words}, wider than the arena" if far else words
+            if far:
+                return f"tempered: beta = {beta:g}, so that a single frame says next to nothing"
+            return f"beta = {beta:g}, as noise of {noise:.0f} units in a frame"
         counts = self._tree[trees.SIMULATED].attrs.get("frame_weight", 1.0)
         return f"the closed loop's, tempered: a frame counts {counts:g}" if counts != 1 else ""
 

@@ -476,10 +476,10 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        counted = "frames in full"
+        counted = "frames count in full"
         if self._strength_weight != 1:
-            counted += f"; tempered {self._strength_weight:g} for strengths"
-        evidence = f"log density of the video, {self.log_evidence:.1f} nats ({counted})"
+            counted += f", for strengths {self._strength_weight:g}"
+        evidence = f"log density of the video {self.log_evidence:.1f} nats; {counted}"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")

@@ -58,8 +58,8 @@ _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
 """State -> its mark, colour and meaning, the worst state first."""
 
 _TRUST: Final = {
-    "confident": "The computation can be trusted.",
-    "not certain": "The computation is not certain.",
+    "confident": "Confident.",
+    "not certain": "Not certain.",
     "do not trust": "Do not trust it yet.",
 }
 _CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
@@ -216,19 +216,27 @@ def _frames(frames: list[int]) -> str:
 
 
 def _decided(leaders: Record, advice: str) -> Check:
-    sure = sum(one["sure"] for one in leaders.values())
-    open_ones = [
+    """Return the check of whether leading answers are surely above 1/2.
+
+    The advice is for answers that smaller errors could decide.
+    """
+    unsure = {name: one for name, one in leaders.items() if not one["sure"]}
+    told = [
         f"{_asked(name)} '{one['label']}' "
         f"({with_error(one['probability'], math.nan if one['error'] is None else one['error'])}) "
-        f"or '{one['next']}' ({one['next_probability']:.2f})"
-        for name, one in leaders.items()
-        if not one["sure"]
+        f"or '{one['next']}' ({one['next_probability']:.3g})"
+        for name, one in unsure.items()
     ]
-    says, value = (
-        f"Not decided: {'; '.join(open_ones)}.",
-        f"{sure} of {len(leaders)}, allowing for errors",
-    )
-    return Check("answers above 1/2", "doubt" if open_ones else "ok", value, "all", says, advice)
+    says = f"Not decided: {'; '.join(told)}."
+    if not any(_may_be_sure(one) for one in unsure.values()):
+        says, advice = f"{says} The video leaves that open: smaller errors would not decide it.", ""
+    value = f"{len(leaders) - len(unsure)} of {len(leaders)}, allowing for errors"
+    return Check("answers above 1/2", "doubt" if unsure else "ok", value, "all", says, advice)
+
+
+def _may_be_sure(one: Record) -> bool:
+    """Return whether the leading answer's probability may be above 1/2, given its error."""
+    return one["error"] is None or one["probability"] + 2 * one["error"] > 0.5
 
 
 # --- of chains and weighted draws -----------------------------------------------------------------
@@ -295,7 +303,7 @@ def _enough(found: Record, longer: str) -> Check:
         f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
         f"{needed:g}. Another run may well differ."
     )
-    state, value = "fail" if size < needed else "ok", f"{size:.1f} effective"
+    state, value = "fail" if size < needed else "ok", f"effective sample size {size:.1f}"
     return Check(name, state, value, f"{needed:g} or more", says, longer)
 
 
@@ -306,13 +314,13 @@ def _by_prior(found: Record) -> Iterator[Check]:
     known = {name: share for name, share in known.items() if share is not None}
     if known:
         # rounded down, so that a value just below a limit does not look like the limit
-        shown = {name: f"{math.floor(100 * share) / 100:.2f}" for name, share in known.items()}
+        shown = {name: f"{math.floor(1000 * share) / 1000:.3f}" for name, share in known.items()}
         short = [f"{shown[name]} for {_asked(name)}" for name in known if known[name] <= ALONE]
         says = (
             f"With all goals alike beforehand there would be {' and '.join(short)}: above {ALONE} "
             "the video decides, up to 1/2 the prior."
         )
-        value = f"{min(shown.values())} were goals alike before"
+        value = f"{min(shown.values())} without the prior"
         state = "doubt" if short else "ok"
         yield Check("the video decides", state, value, f"above {ALONE}", says)
 
@@ -450,7 +458,7 @@ def of_reading(found: Record) -> dict[str, Any]:
             f"{errors[worst]:.2f}): use more."
         )
         state = "doubt" if errors[worst] > DISAGREE else "ok"
-        value = f"error {errors[worst]:.2g}, {n_sets} sets"
+        value = f"errors to {errors[worst]:.2g}, {n_sets} sets"
         checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
     elif not users_simulator:
         says = "With one set of searches nothing tells how much of this is the planner's chance."

@@ -198,13 +198,17 @@ class WhatIf(Printed):
         told = []
         for share, row in zip(self.probability(agent), seconds, strict=True):
             reached = row[np.isfinite(row)]
-            told.append(f"{share}{f' (after {np.median(reached):.1f} s)' if reached.size else ''}")
+            after = np.median(reached) if reached.size else np.inf
+            when = "" if np.isinf(after) else f" (after {after:.1f} s)"
+            if self.begin and after <= self.begin / FRAMES_PER_SECOND:
+                when = " (it is reached already)"
+            told.append(f"{share}{when}")
         if len(told) == 1:
             return told[0]
         change, (before, after) = self.difference(agent), np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
-            so = f"; no difference that so few simulations would show ({change})"
+            so = f"; no difference found ({change})"
         elif self.is_removal:
             names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
             so = f": {names} was {'in its way' if change > 0 else 'of help'} ({change})"

@@ -344,7 +344,7 @@ def test_table_fits_a_terminal_and_shows_the_leading_goals() -> None:
     for word in ("relation", "scenario", "strength", "cost", "checks", "12 s on 2 workers"):
         assert word in text
     # d / beta, of x and y of four entities
-    assert "beta = 0.05, as noise 160 units in a frame, wider" in " ".join(text.split())
+    assert "beta = 0.05, so that a single frame says next to nothing" in " ".join(text.split())
     assert repr(post) == f"<Posterior of {post.event_id}: 4 x 6 draws, weights 'count'>"
     # goals without mass and costs that are not known are left out
     tree = make_tree([Simulation(hypothesis())], [[0]])

@@ -141,6 +141,12 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
     assert "± unknown" in str(single)
 
 
+def test_no_more_searches_are_advised_where_they_cannot_decide() -> None:
+    alike = StepwisePosterior(reading(weight=1e-6)).diagnostics()
+    assert "The video leaves that open" in alike["verdict"]
+    assert "over_time" in alike["next"]
+
+
 def test_over_time_and_why_follow_the_posterior_at_each_frame(post: StepwisePosterior) -> None:
     found, names = post.over_time(), ("to red lm", "away from red lm")
     why = post.why(*(f"goal_red=Get blue item {name}" for name in names))
@@ -182,7 +188,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     of_strengths = StepwisePosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
     assert tempering in str(of_strengths)
-    counted = "nats (frames in full; tempered 0.05 for strengths)"
+    counted = "nats; frames count in full, for strengths 0.05"
     assert counted in " ".join(str(of_strengths).split())
     for told in (of_strengths.why("relation=friendly"), of_strengths.over_time()):
         assert told.attrs["tempering"] == tempering
