@@ -49,10 +49,22 @@ def test_all_pages_with_examples_are_known() -> None:
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
 
-def test_links_lead_to_files_that_are_there() -> None:
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, which GitHub and the site make alike."""
+    text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
+    heads = re.findall(r"(?m)^#+ (.*)", text)
+    return {re.sub(r"[^\w\s-]", "", head).strip().lower().replace(" ", "-") for head in heads}
+
+
+def test_links_lead_to_files_and_headings_that_are_there() -> None:
     for page in (README, *PAGES):
-        for link in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
-            assert link.startswith("http") or (page.parent / link).exists(), (page, link)
+        for link in re.findall(r"\]\(([^)\s]+)", page.read_text(encoding="utf-8")):
+            name, _, anchor = link.partition("#")
+            if name.startswith("http"):
+                continue
+            target = page.parent / name if name else page
+            assert target.exists(), (page, link)
+            assert not anchor or anchor in anchors(target), (page, link)
 
 
 def labels(printed: str) -> set[str]:

@@ -188,7 +188,7 @@ def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
-    """Return datasets (chain, draw, ...) as groups of the installed ArviZ's container."""
+    """Return datasets (chain, draw, ...) as ArviZ's container: InferenceData, or a DataTree."""
     if not _is_new():
         return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
     data = xr.DataTree.from_dict(dict(groups))

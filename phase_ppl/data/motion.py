@@ -190,8 +190,8 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
 def observed_turning(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> Turning:
     """Return "ccw" or "cw" if the agents of PHASE clearly turn one way only, else "both".
 
-    At least ``MIN_TURNS`` turns must be seen, ``MIN_SHARE`` of them the same way. ``trajectory`` is
-    (time, entity, coord) x, y [units], angle [rad]; ``radius`` is (entity,) sizes [units].
+    At least 3 turns must be seen, 80 % of them the same way. ``trajectory`` is (time, entity,
+    coord) x, y [units], angle [rad]; ``radius`` is (entity,) sizes [units].
     """
     counter_clockwise, clockwise = count_turns(trajectory, radius)
     total = counter_clockwise + clockwise

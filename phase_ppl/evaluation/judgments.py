@@ -208,7 +208,7 @@ def load_judgments(
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
-    """Return the events with their judgments replaced by those of a study.
+    """Return the events with a study's judgments; events that it lacks have none.
 
     Raises:
         InvalidEventError: the study has answers to none of the events.

@@ -85,7 +85,7 @@ def infer(
     In a run of fewer than 20 iterations, all simulations are weighed. Untried rivals of the leading
     goals are simulated first: those in which one agent wants the same thing at another landmark.
     This takes one simulation or a few more per particle. It is left out if there is a ``budget`` or
-    all rivals were tried. The draws stay as they are.
+    all rivals were tried. Rivals count in the posterior, not in the chains.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
     depend on ``seed``, not on the number of workers.
@@ -97,8 +97,8 @@ def infer(
     * "retry": the simulation is repeated with a fresh seed derived from its own, up to ``retries``
       times, then rejected. The likelihood is that of successful runs, so failing costs a
       hypothesis next to nothing.
-    * "raise": the run ends with the error and keeps what was done. No simulation failed before,
-      so this changes no probability.
+    * "raise": the run ends with the error and keeps what was done. A run that ends without it had
+      no failures.
 
     Args:
         event: event to explain; with a kernel, also a result of the closed loop.
@@ -110,8 +110,8 @@ def infer(
         iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
             loop.
         seed: a whole number >= 0.
-        planner: "fast" (the default), "paper" or a ``PlannerConfig``, of the package's own
-            simulator.
+        planner: of the package's own simulator: "fast" (the default), "paper" or a
+            ``PlannerConfig``.
         workers: processes, or threads of the closed loop; by default one per usable core. With an
             ``executor``, how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
@@ -129,7 +129,7 @@ def infer(
         checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial
             particles and after every iteration. It must not exist yet.
         progress: show a bar on stderr; by default if stderr is a terminal.
-        settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
+        settings: of SIMPLE; by default those of the preset "simple".
         burn_in: first draws of each chain that do not count; by default a quarter of twenty
             iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.

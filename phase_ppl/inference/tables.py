@@ -14,7 +14,7 @@ its text, and no R. ``sign="printed"`` and ``unit="printed"`` keep both.
 
 d is the distance of the goal's own entity. For a goal about an item it is the item's, and for an
 agent at a landmark the named agent's. For goals of touching it is the distance between the two. For
-a goal to be *away* it is the distance to the places that are away: max(0, R - distance). A smaller
+a goal to be *away* it is max(0, R - distance), which falls up to the largest distance. A smaller
 R would leave many goals at distance 0 that nobody works for.
 
 "closed_loop". The closed loop (:mod:`phase_ppl.closed_loop`) reads the video once, with one set of

@@ -90,8 +90,8 @@ class EventProgram:
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
         n_frames: length of the arrays (time,).
         salt: number of the event for ``noise="fixed"``; see :func:`event_salt`.
-        observed: length T of the observation if arrays are longer, perhaps known only inside
-            compiled code; errors and log likelihoods of frames beyond it are 0.
+        observed: how many frames are observed, T, if arrays are longer; perhaps known only inside
+            compiled code. Errors and log likelihoods of frames beyond it are 0.
         table: the closed loop's table, looked up in place of simulating.
     """
 

@@ -195,7 +195,8 @@ class Observation:
             gap: seconds; gaps up to so long are put on straight lines, 0: none. Others stay.
             angles: of agents without any: "unseen", or "heading", the way they go. Agents of these
                 worlds can go any way without turning: headings are often angles that no agent
-                could have had. In the first frame, of which nothing is learnt, it is the heading.
+                could have had. With "unseen" the first frame still has the heading: inference does
+                not use it.
             ahead: two parts of a body, the second ahead of the first, which tell its angle.
             least_sure: points of which the program is less sure were not seen.
 

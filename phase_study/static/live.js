@@ -308,7 +308,7 @@ class Live {
     const me = this.scene.agent, quoted = goal => `\u201c${this.word(me, goal)}\u201d`;
     const did = why.did ? `you ${why.did}` : "you moved";
     return `${quoted(why.goal)} rather than ${quoted(why.over)}: the last second made it ${times(why.last)}. `
-      + `The frame that spoke most for it was at ${seconds(why.deciding)}: ${did}, which made it ${times(why.by)}. (Tempered: a frame counts 0.2.)`;
+      + `The frame that spoke most for it was at ${seconds(why.deciding)}: ${did}, which made it ${times(why.by)}. (Tempered: a frame counts 0.3.)`;
   }
 
   /** Once the player is there, what the model says of their goal. */
