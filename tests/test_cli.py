@@ -495,7 +495,7 @@ def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: Capture) -> None
 
 MINE = """
 import numpy as np
-from phase_ppl.inference.kernels.generic_mh import PriorMH
+from phase_ppl.inference.kernels.metropolis import PriorMH
 
 def still(scene, hypothesis, rng):
     while True:

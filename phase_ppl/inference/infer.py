@@ -104,8 +104,7 @@ def infer(
         event: event to explain; with a kernel, also a result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
         kernel: None: the closed loop. To sample: a name (:func:`phase_ppl.available_kernels`), a
-            kernel class, an instance of one of ours, or a function from the program of the event
-            to a NumPyro kernel.
+            kernel class, or a function from the program of the event to a NumPyro kernel.
         chains: number of particles, M in the paper; each is a chain.
         iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
             loop.

@@ -60,7 +60,6 @@ def post() -> Posterior:
 # --- what is printed is what ArviZ says ----------------------------------------------------------
 
 OPTIONS: dict[str, dict[str, Any]] = {
-    "aies": {"chains": 12},
     "enumerate": {"model": ppl.Model(prior=few_goals, simulator=walkers), "iterations": None}
     | {"strengths": [300.0, 400.0]},
     "smc": {"move": "prior_mh"},

@@ -222,8 +222,7 @@ def visited(z: dict[str, Any]) -> FloatArray:
     ("name", "steps"),
     [
         ("local_mh", 120),
-        pytest.param("random_walk_mh", 1000, marks=pytest.mark.slow),
-        pytest.param("enumerated_gibbs", 300, marks=pytest.mark.slow),
+        pytest.param("single_site_mh", 1000, marks=pytest.mark.slow),
     ],
 )
 def test_draws_visit_roles_as_often_as_the_posterior_says(name: str, steps: int) -> None:

@@ -17,7 +17,6 @@ from jax import lax, random
 
 import phase_ppl as ppl
 from phase_ppl.inference.guide import Guide, bottom_up_guide
-from phase_ppl.inference.kernels.generic_mh import MixtureMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.weighted import Importance
@@ -169,7 +168,7 @@ def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() 
     "kernel",
     [
         *(lambda *given, rule=rule: LocalMH(*given, rule=rule) for rule in ("exact", "window")),
-        *(MixtureMH, Importance, SMC),
+        *(Importance, SMC),
     ],
 )
 def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior(kernel: Any) -> None:

@@ -216,15 +216,13 @@ def test_what_is_another_run_is_refused_and_the_file_left_alone(path: Path) -> N
 
 
 def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
-    from phase_ppl.inference.kernels.generic_mh import PriorMH
+    from phase_ppl.inference.kernels.metropolis import PriorMH
 
     path = tmp_path / "run.ckpt"
-    infer(kernel=PriorMH(), iterations=1, weights="count", checkpoint=path)
+    infer(kernel=PriorMH, iterations=1, weights="count", checkpoint=path)
     with pytest.raises(InvalidSettingError, match="kernel prior_mh was given as an object"):
         resume(path)
-    with pytest.raises(InvalidSettingError, match="_early_reject is False, was True"):
-        resume(path, kernel=PriorMH(early_reject=False))
-    assert resume(path, kernel=PriorMH()).tree["posterior"].sizes["draw"] == 1
+    assert resume(path, kernel=PriorMH).tree["posterior"].sizes["draw"] == 1
 
 
 def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(

@@ -17,7 +17,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances
 from phase_ppl.inference import entries as entries_module
 from phase_ppl.inference.entries import entries
-from phase_ppl.inference.kernels.generic_mh import PriorMH
+from phase_ppl.inference.kernels.metropolis import PriorMH
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.reference import (
     Reference,

@@ -13,7 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import run, sampler
-from phase_ppl.inference.kernels.generic_mh import PriorMH
+from phase_ppl.inference.kernels.metropolis import PriorMH
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference import runs

@@ -59,27 +59,18 @@ def keys(n: int) -> jax.Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "steps", "allowed"), [("sa", 500, 0.12), ("aies", 400, 0.09), ("gibbs", 100, 0.09)]
-)
-def test_numpyros_samplers_reach_the_enumerated_posterior(
-    name: str, steps: int, allowed: float
-) -> None:
+def test_numpyros_gibbs_reaches_the_enumerated_posterior() -> None:
     """The total variation that is allowed is twice what such a run gives."""
     program, bridge = table_program(TableRunner(ERRORS))
-    kernel: Any = kernel_info(name).make(program)
-    states = run(kernel, steps, keys(60))
+    kernel: Any = kernel_info("gibbs").make(program)
+    states = run(kernel, 100, keys(60))
     z = {site: np.asarray(v)[len(v) // 2 :] for site, v in states.z.items()}
-    assert total_variation(visited_share(z), EXACT) < allowed
+    assert total_variation(visited_share(z), EXACT) < 0.09
     strength = z["strength_red"]
     assert strength.mean() == pytest.approx(375, abs=25)
     assert strength.std() == pytest.approx(450 / np.sqrt(12), abs=25)
-    per_step = getattr(kernel, "sims_per_step", kernel_info(name).sims_per_step)
-    promised = 60 * (getattr(kernel, "sims_at_start", 1) + steps * per_step)
     # compiled code may round a site so differently that its simulation is not known again
-    assert len(bridge.records) <= 1.001 * promised
-    if name == "sa":
-        assert len(bridge.records) > 0.99 * promised
+    assert len(bridge.records) <= 1.001 * 60 * (1 + 100 * kernel.sims_per_step)
 
 
 def test_importance_weights_lead_to_the_enumerated_posterior() -> None:
@@ -190,8 +181,6 @@ def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:
         ("enumerate", {"strengths": [300.0, 400.0]}, 44, 8),
         ("gibbs", {"iterations": 2}, 54, 2),
         ("smc", {"iterations": 3}, 24, 1),
-        ("sa", {"iterations": 2, "pool": 3}, 30, 2),
-        ("aies", {"iterations": 2, "chains": 12}, 36, 2),
         ("importance", {"iterations": 2}, 18, 3),
         ("amis", {"iterations": 2}, 18, 3),
     ],
@@ -275,10 +264,6 @@ def counted() -> None:
 @pytest.mark.parametrize(
     ("kernel", "options", "message"),
     [
-        ("aies", {"chains": 15}, r"chains=15.*even.*16"),
-        ("aies", {"chains": 10}, r"chains=10.*12"),
-        ("sa", {"prior": counted}, "'mood'.*Poisson.*inverse"),
-        ("sa", {"pool": 1}, "pool=1"),
         ("gibbs", {"prior": counted}, "'mood'.*Poisson"),
         ("gibbs", {"step": 0}, "step=0"),
         ("enumerate", {"noise_seeds": 10}, r"\d+ simulations, more than .*50000"),

@@ -27,9 +27,8 @@ from jax import lax, random
 from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.guide import Guide
-from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import EventKernel, for_each
+from phase_ppl.inference.kernels.metropolis import EventKernel, PriorMH, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import Request
@@ -173,7 +172,7 @@ class SMC(EventKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,

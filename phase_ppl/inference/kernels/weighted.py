@@ -307,7 +307,7 @@ class Enumeration(EventKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         *,
         strengths: Sequence[float] = STRENGTHS,
         noise_seeds: int = 1,
@@ -317,8 +317,6 @@ class Enumeration(EventKernel):
         self._strengths = strengths
         self._noise_seeds = whole_number("noise_seeds", noise_seeds)
         self._max_simulations = whole_number("max_simulations", max_simulations)
-        if program is None:
-            return
         if program.model.noise == "fixed" and noise_seeds > 1:
             raise InvalidSettingError(
                 f"noise_seeds={noise_seeds}, but with noise='fixed' every hypothesis has one seed"
