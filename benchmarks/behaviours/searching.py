@@ -1,4 +1,4 @@
-"""Search for an unseen item, with and without the cost of the way; ``ppl.plot.search`` draws it."""
+"""Search for an unseen item, with and without the cost of the way."""
 
 from __future__ import annotations
 
