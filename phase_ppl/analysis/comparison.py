@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.estimate import shares, total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.quantities import vocabulary_of
+from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.tree import SIMULATED, array, space_of_tree
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.analysis.with_arviz import ess
@@ -405,7 +405,7 @@ def _of_first(
     if post.weights != "count":
         tree = tree.isel(simulation=np.flatnonzero(done))
     rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
-    codes, weights = vocabulary_of(space_of_tree(tree)).completed(rows.values), rows.weights
+    codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
     found = {
         name: shares(codes[name], weights, len(post.quantities[name] or ()))
         for name in marginals_of(post)

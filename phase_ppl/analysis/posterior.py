@@ -19,7 +19,7 @@ from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.quantities import ScenarioFunction, users_quantity, vocabulary_of
+from phase_ppl.analysis.quantities import Vocabulary, users_quantity
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -52,9 +52,6 @@ _MOST_UNTRIED: Final = 0.5
 
 _STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
 
-_FORMERLY: Final = {"importance": "stratified", "visited": "count"}
-"""What files of earlier versions call a weighting -> what has taken its place."""
-
 
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
@@ -71,13 +68,10 @@ class Posterior(EventPosterior):
         burn_in: first draws of each chain that do not count; None: the run's default, a quarter of
             twenty iterations or more, else none. Weights "stratified" ignore it: they use all
             simulations.
-        scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
-            green) -> one of "collaborative", "independent", "competing", "opposing". The
-            relation follows from it.
 
     Raises:
         InvalidEventError: the tree lacks something; the message names it.
-        UnknownNameError: there is no such weighting, or ``scenario`` returned no scenario.
+        UnknownNameError: there is no such weighting.
         InvalidSettingError: the tree cannot be weighted in this way.
     """
 
@@ -87,11 +81,10 @@ class Posterior(EventPosterior):
         weights: str | None = None,
         *,
         burn_in: int | None = None,
-        scenario: ScenarioFunction | None = None,
     ) -> None:
         trees.check_tree(tree)
-        recorded, n_draws = str(tree.attrs["weights"]), tree["posterior"].sizes["draw"]
-        self._weights = _FORMERLY.get(recorded, recorded) if weights is None else weights
+        n_draws = tree["posterior"].sizes["draw"]
+        self._weights = str(tree.attrs["weights"]) if weights is None else weights
         check_name("weights", self._weights, WEIGHTINGS)
         given = tree.attrs.get("burn_in", 0) if burn_in is None else burn_in
         self._burn_in = whole_number("burn_in", given, minimum=0)
@@ -102,7 +95,7 @@ class Posterior(EventPosterior):
         self._tree = tree
         self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         rows = WEIGHTINGS[self._weights](counted)
-        words = vocabulary_of(trees.space_of_tree(tree), scenario)
+        words = Vocabulary(trees.space_of_tree(tree))
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = users_quantity(counted, site, columns[site])
@@ -289,8 +282,7 @@ class Posterior(EventPosterior):
         return changed
 
     def _under_weights(self, weights: str, tree: xr.DataTree | None = None) -> Posterior:
-        tree, scenario = self._tree if tree is None else tree, self._words.scenario
-        other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
+        other = Posterior(self._tree if tree is None else tree, weights, burn_in=self._burn_in)
         return other._defining(self._defined)
 
     def map(self) -> Any:
@@ -478,7 +470,6 @@ class Posterior(EventPosterior):
         weights: str | None = None,
         *,
         burn_in: int | None = None,
-        scenario: ScenarioFunction | None = None,
     ) -> Posterior:
         """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
@@ -490,7 +481,7 @@ class Posterior(EventPosterior):
 
         try:
             tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
-            return cls(tree, weights, burn_in=burn_in, scenario=scenario)
+            return cls(tree, weights, burn_in=burn_in)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
@@ -561,7 +552,6 @@ def load_posterior(
     weights: str | None = None,
     *,
     burn_in: int | None = None,
-    scenario: ScenarioFunction | None = None,
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or of the closed loop.
 
@@ -570,7 +560,6 @@ def load_posterior(
     Args:
         path: the .nc file.
         weights, burn_in: of the draws of a sampled one; by default those it was saved with.
-        scenario: as of :class:`phase_ppl.Posterior`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
@@ -580,11 +569,11 @@ def load_posterior(
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, holds_stepwise
 
     if not holds_stepwise(existing_file(path)):
-        return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
+        return Posterior.load(path, weights, burn_in=burn_in)
     for name, given in (("weights", weights), ("burn_in", burn_in)):
         if given is not None:
             raise InvalidSettingError(
                 f"{name}={given!r}: {path} has a posterior of the closed loop, which has no draws "
                 f"to weight: leave {name} out"
             )
-    return StepwisePosterior.load(path, scenario=scenario)
+    return StepwisePosterior.load(path)

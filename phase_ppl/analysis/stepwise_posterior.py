@@ -21,7 +21,7 @@ from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
-from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
+from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
 from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
@@ -75,12 +75,11 @@ class StepwisePosterior(EventPosterior):
         found: what was read (:mod:`phase_ppl.analysis.stepwise_file`).
         frame: the posterior given the frames up to this one; by default all.
         prior: the program whose masses ``found`` has, for questions about further sites of it.
-        scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
         table: of ``found``, if there is one.
 
     Raises:
         InvalidEventError: ``found`` lacks something; the message names it.
-        InvalidSettingError: there is no such frame, or a scenario for another world than PHASE.
+        InvalidSettingError: there is no such frame.
     """
 
     def __init__(
@@ -89,7 +88,6 @@ class StepwisePosterior(EventPosterior):
         frame: int | None = None,
         *,
         prior: Callable[..., object] | None = None,
-        scenario: ScenarioFunction | None = None,
         table: Table | None = None,
     ) -> None:
         self._table: Table = table_of(found) if table is None else table
@@ -97,7 +95,7 @@ class StepwisePosterior(EventPosterior):
         last = self._table.n_frames - 1
         self._frame = last if frame is None else whole_number("frame", frame, 0, last)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        words = vocabulary_of(self._table.space, scenario)
+        words = Vocabulary(self._table.space)
         rows, without = self._table.rows(self._frame)
         self._over_sets = over_sets(without)
         if self._table.is_exact:  # there is nothing to leave out
@@ -223,8 +221,7 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        found, scenario, table = self._found, self._words.scenario, self._table
-        at = StepwisePosterior(found, frame, prior=self._prior, scenario=scenario, table=table)
+        at = StepwisePosterior(self._found, frame, prior=self._prior, table=self._table)
         return at._defining(self.definitions)
 
     @property
@@ -251,8 +248,7 @@ class StepwisePosterior(EventPosterior):
         known = dimensions(table.space)
         found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
-        scenario = self._words.scenario
-        changed = StepwisePosterior(found, self._frame, prior=prior, scenario=scenario)
+        changed = StepwisePosterior(found, self._frame, prior=prior)
         return changed._defining(self.definitions)
 
     @property
@@ -442,9 +438,7 @@ class StepwisePosterior(EventPosterior):
         return {"/": found}, {"zlib": True, "complevel": 4}
 
     @classmethod
-    def load(
-        cls, path: str | os.PathLike[str], *, scenario: ScenarioFunction | None = None
-    ) -> StepwisePosterior:
+    def load(cls, path: str | os.PathLike[str]) -> StepwisePosterior:
         """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
         Raises:
@@ -457,7 +451,7 @@ class StepwisePosterior(EventPosterior):
             )
         try:
             found = read_netcdf(source)["/"]
-            return cls(found, found.attrs.pop(_FRAME, None), scenario=scenario)
+            return cls(found, found.attrs.pop(_FRAME, None))
         except (InvalidEventError, InvalidSettingError) as error:
             raise type(error)(f"{source}: {error}") from None
 

@@ -145,16 +145,6 @@ def test_replay_is_the_stored_simulation_of_the_map_where_a_chain_kept_it() -> N
     assert (rejected.replay() == 1).all()
 
 
-def test_scenario_and_relation_follow_a_users_own_definition() -> None:
-    tree = random_tree(1)
-    post = Posterior(tree, scenario=lambda *two: "competing" if {*two} <= {*GOALS} else "opposing")
-    assert post.probability(scenario="competing") == 1
-    assert post.probability(relation="adversarial") == 1
-    assert post.map_record()["scenario"] == "competing"
-    with pytest.raises(UnknownNameError, match="rivalry"):
-        Posterior(tree, scenario=lambda red, green: "rivalry")
-
-
 def test_a_site_of_the_users_own_can_be_asked_for_and_may_carry_labels() -> None:
     post = posterior_of([hypothesis()] * 3, [[0, 1, 2, 2]], own_site=[0, 2, 1])
     np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])

@@ -379,8 +379,6 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again.marginal(name), post.marginal(name))
     with pytest.raises(InvalidEventError, match="closed loop, phase_ppl"):
         ppl.Posterior.load(file)
-    with pytest.raises(InvalidSettingError, match="'three' has relations only"):
-        ppl.load_posterior(file, scenario=lambda red, green: "competing")
     nan = FOUND["log_likelihood"].values * np.nan
     for damaged, said in (
         (FOUND.drop_vars("held"), "lacks held"),

@@ -361,10 +361,9 @@ def test_a_failed_simulation_counts_for_nothing() -> None:
     np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
 
 
-def test_it_says_that_it_is_hindsight_and_follows_a_users_scenario() -> None:
-    post = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing")
+def test_it_says_that_it_is_hindsight() -> None:
+    post = Posterior(tree_by_frame())
     found = post.over_time()
-    np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
     assert "proposed from the whole video" in found.attrs["hindsight"]
     assert found["time"].attrs["units"] == "s"
     np.testing.assert_array_equal(found["time"], post.tree["observed_data"]["time"])

@@ -423,8 +423,6 @@ def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: st
 def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
     with pytest.raises(PhasePPLError, match="in PHASE one takes none and samples goal_red"):
         ppl.infer(ppl.load_event("collaborate"), ppl.Model(world_priors.uniform), kernel="prior_mh")
-    with pytest.raises(InvalidSettingError, match="scenario replaces that of the world PHASE"):
-        ppl.Posterior(enumerated().tree, scenario=lambda red, green: "independent")
 
 
 # --- kernels side by side -----------------------------------------------------------------------
