@@ -287,10 +287,8 @@ def compare(options: Options) -> int:
         --chains N: default 15
         $model
         $planner
-        --reference R: a posterior's .nc file, 'enumeration' (more precise:
-            enumeration:per_pair=16) or a kernel, with options as in --kernels; default: the best
-            affordable one
-        --weights NAME: default count
+        --reference R: a posterior's .nc file, 'none' or 'enumeration' (more precise:
+            enumeration:per_pair=16); default: the best affordable one
         $cluster
         --checkpoint FILE: .json; stores finished runs and continues from them
         --out DIR: for the runs and a figure
@@ -333,16 +331,14 @@ def _kernels(text: str) -> dict[str, Any]:
     for label in (part.strip() for part in text.split(",")):
         if not label.partition(":")[0] or label in found:
             raise InvalidSettingError(f"--kernels {text}: expected different names, as in a,b,c")
-        found[label] = _with_options(label, "--kernels")
+        name, given = users_parts.with_settings(label, "--kernels")
+        found[label] = users_parts.taken(name, "kernel"), given
     return found
 
 
 def _reference(text: str | None) -> Any:
     if text is not None and text.endswith(".nc"):
         return phase_ppl.Posterior.load(text)
-    return text if text is None or ":" not in text else _with_options(text, "--reference")
-
-
-def _with_options(text: str, option: str) -> tuple[Any, dict[str, Any]]:
-    name, given = users_parts.with_settings(text, option)
-    return users_parts.taken(name, "kernel"), given
+    if text is None or ":" not in text:
+        return text
+    return users_parts.with_settings(text, "--reference")

@@ -100,8 +100,6 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
     assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
     with pytest.raises(UnknownNameError, match="'likelihood'"):
         Posterior(tree, "likelihod")
-    # of earlier versions
-    assert Posterior(make_tree(simulations, [[0, 1]], weights="visited")).weights == "count"
     tree = with_prior(with_densities(tree, 0.0), [(A, 0.5), (B, 0.5)])
     tree.attrs["weights"] = "importance"
     assert Posterior(tree).weights == "stratified"

@@ -15,7 +15,6 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import Marginals, distances, marginals
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.entries import entries
 from phase_ppl.inference.reference import POPULATIONS, Reference, reference_of
 from phase_ppl.inference.table_run import event_of, model_of
 from phase_ppl.world.errors import InvalidSettingError
@@ -113,16 +112,13 @@ def test_a_video_is_read_once_for_all_kernels_and_repeats(
 # --- a reference that is not exact ---------------------------------------------------------------
 
 
-def reference(seed: int, settings: ppl.SimpleSettings) -> dict[str, Any]:
-    spec = ("smc", {"move": "prior_mh", "chains": 50, "budget": ppl.simulations(800)})
-    among = entries(["prior_mh"], 15, settings)
-    event, budget = event_of(EXACT), ppl.simulations(100)
-    asked = Reference.asked_for(spec, event, budget, 15, settings, "count", among)
-    return reference_of(asked, event, model_of(EXACT, None), EXACT, seed, workers=1)
+def reference(seed: int) -> dict[str, Any]:
+    asked = Reference(ppl.simulations(800), ppl.SimpleSettings(), particles=50)
+    return reference_of(asked, event_of(EXACT), model_of(EXACT, None), EXACT, seed, workers=1)
 
 
 def test_populations_say_how_far_they_differ_from_seed_to_seed() -> None:
-    found = [reference(seed, ppl.SimpleSettings()) for seed in range(4)]
+    found = [reference(seed) for seed in range(4)]
     assert (
         f"as {POPULATIONS} independent populations weighed by their evidence"
         in (found[0]["description"])
