@@ -331,7 +331,6 @@ SETTINGS = [
     ("--option rule", "'rule' is not of the form NAME=VALUE"),
     ("--option chains=3", "no option of a kernel"),
     ("--option rule=paper --option rule=exact", "given twice"),
-    ("--retries 2", "on_failure='retry'"),
 ]
 
 

@@ -37,8 +37,8 @@ _STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
 
 _OF_SAMPLING: Final = (
-    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure", "retries"),
-    *("burn_in", "weights", "simulation_seconds", "keep_checkpoint"),
+    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure"),
+    *("weights", "simulation_seconds", "keep_checkpoint"),
 )
 """Options of ``infer`` that ``--watch`` has no use for."""
 
@@ -60,6 +60,10 @@ def infer(options: Options) -> int:
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
             beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
             several times
+        --on-failure reject|raise|retry: what becomes of a failed simulation; default reject
+        --simulation-seconds S: a simulation that takes longer has failed; default: none has
+        --weights NAME: of the posterior; default: those that are valid for the kernel and the
+            length
         --out DIR: for the posterior, a figure and a film
         $overwrite
         $run

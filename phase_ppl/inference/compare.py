@@ -27,12 +27,13 @@ from phase_ppl.inference.infer import CHAINS, infer
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.reference import Asked, Reference, reference_of
 from phase_ppl.inference.registry import KernelInfo, info_of
-from phase_ppl.inference.run import Kernel, Run, check_event
+from phase_ppl.inference.run import Kernel, Run
 from phase_ppl.inference.settings import (
     BUDGETS,
     PRESETS,
     Budget,
     SimpleSettings,
+    check_event,
     check_settings,
     completed,
     simulations,

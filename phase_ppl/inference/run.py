@@ -27,7 +27,7 @@ from phase_ppl.inference.kernels.amis import Adaptation, Proposal, first_proposa
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import EventKernel, Stage, through
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
-from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
+from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, check_event
 from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
@@ -45,13 +45,7 @@ from phase_ppl.models.effective import WorldPrior, as_given
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, Lookup, event_salt
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    instance_of,
-    shown,
-    whole_number,
-)
+from phase_ppl.world.errors import InvalidSettingError, instance_of, whole_number
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
 
@@ -234,13 +228,6 @@ class Run:
         steps = compiled(self.recipe)  # what is traced here is not traced again by the run
         keys = random.split(random.key(0), self.chains)
         steps.shapes("moves", data, steps.shapes("starts", data, keys, None))
-
-
-def check_event(given: object) -> Event:
-    """Return ``given`` if it is an event; raise InvalidEventError otherwise."""
-    if not isinstance(given, Event):
-        raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
-    return given
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:

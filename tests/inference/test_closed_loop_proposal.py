@@ -135,12 +135,12 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
 
 def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", never_called)
-    for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
-        with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
+    for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}):
+        with pytest.raises(ppl.PhasePPLError, match=r"too small|papr"):
             ppl.infer(unread(5), **GUIDED, chains=2, workers=1, progress=False, **wrong)
     table = ppl.Model(likelihood=ppl.StepwiseLikelihood())
-    for wrong in ({"iterations": 6, "burn_in": 7}, {"rull": 1}):
-        with pytest.raises(ppl.PhasePPLError, match=r"burn_in=7|rull"):
+    for wrong in ({"rull": 1},):
+        with pytest.raises(ppl.PhasePPLError, match="rull"):
             ppl.infer(unread(5), table, kernel="prior_mh", progress=False, **wrong)
 
 

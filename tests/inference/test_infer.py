@@ -282,7 +282,6 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"planner": "fast"}, REFUSED, "joint simulator"),
     ({"budget": ppl.simulations(29)}, REFUSED, "too small.*30"),
     ({"budget": 60}, REFUSED, "budget=60, expected phase_ppl.simulations"),
-    ({"burn_in": 6}, REFUSED, "burn_in=6, but there are 6 iterations"),
     ({"preset": "learned"}, REFUSED, "stands for several arguments"),
     ({"budget": ppl.simulations(90), "iterations": 3}, REFUSED, "not both"),
 ]
@@ -297,10 +296,9 @@ def test_wrong_setting_is_refused_before_anything_is_simulated(
         ppl.infer(EVENT, model, **{"kernel": "local_mh", "progress": False, **wrong})
 
 
-def test_a_quarter_of_a_long_run_does_not_count_unless_it_is_told_otherwise() -> None:
+def test_a_quarter_of_a_long_run_does_not_count() -> None:
     # a chain has as many draws as iterations
     assert (infer(iterations=19).burn_in, infer(iterations=20).burn_in) == (0, 5)
-    assert infer(iterations=4, burn_in=1).burn_in == 1
 
 
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:

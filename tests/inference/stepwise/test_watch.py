@@ -245,7 +245,6 @@ def test_what_is_of_no_use_step_by_step_is_refused() -> None:
         "budget=.* is for sampling": {"budget": ppl.simulations(50)},
         "rule='paper' is for sampling": {"rule": "paper"},
         "began=5 is for sampling": {"began": 5},
-        "retries=3 is for simulations": {"kernel": "prior_mh", "retries": 3},
         "on_failure='banana'": {"kernel": "prior_mh", "on_failure": "banana"},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):
