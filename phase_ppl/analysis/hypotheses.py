@@ -9,7 +9,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,17 @@ from phase_ppl.analysis.estimate import (
     with_unseen,
 )
 from phase_ppl.analysis.quantities import Quantity, relations_of
-from phase_ppl.analysis.query import Clause, Conditions, Query, conditions, understood
+from phase_ppl.analysis.query import (
+    Clause,
+    Conditions,
+    Definition,
+    Query,
+    check_new_name,
+    conditions,
+    defined,
+    read_definitions,
+    understood,
+)
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import hdi, n_equal
 from phase_ppl.world.arrays import FloatArray
@@ -41,9 +51,6 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.space import HypothesisSpace
-
-if TYPE_CHECKING:
-    from phase_ppl.analysis.definitions import Definition
 
 Statistic: TypeAlias = Callable[[NDArray[Any], FloatArray], FloatArray]
 """Of values (row,) and weights (..., row)."""
@@ -111,7 +118,7 @@ class Hypotheses(Printed):
         Args:
             name: of the quantity. One that was defined before may be defined anew.
             definition: conditions in words (:mod:`phase_ppl.analysis.query`), which hold or do
-                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.definitions.Named`),
+                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.query.Named`),
                 which returns a truth value, a whole number or a string, for a quantity with
                 categories (of which those of numbers have means too), or a real number. It is
                 called at once, once per distinct hypothesis.
@@ -128,8 +135,6 @@ class Hypotheses(Printed):
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
-        from phase_ppl.analysis.definitions import check_new_name, defined
-
         check_new_name(name, self._quantities.keys() - self._defined.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = defined(name, definition, others, self._rows.values)
@@ -148,8 +153,6 @@ class Hypotheses(Printed):
             InvalidEventError: there is no such file, or it has a line of another form.
             QueryError, InvalidSettingError: as of :meth:`define`.
         """
-        from phase_ppl.analysis.definitions import read_definitions
-
         return self._defining(read_definitions(path))
 
     @property

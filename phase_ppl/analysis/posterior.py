@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis import tree as trees
-from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
-from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.quantities import Vocabulary, users_quantity
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,

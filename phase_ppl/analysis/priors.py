@@ -15,8 +15,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.answers import answer_lines, answers
 from phase_ppl.analysis.estimate import Jackknife
+from phase_ppl.analysis.event_posterior import answer_lines, answers
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.weights import Rows

@@ -9,23 +9,20 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.answers import answer_lines
-from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
-from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
-from phase_ppl.analysis.stepwise_table import Table, table_of
+from phase_ppl.analysis.query import Definition
+from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
-from phase_ppl.analysis.users_sites import WithSites, with_sites
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.data.hdf5 import read_netcdf, root_attribute
@@ -41,6 +38,9 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.users_sites import WithSites
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -72,7 +72,7 @@ class StepwisePosterior(EventPosterior):
     ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
     Args:
-        found: what was read (:mod:`phase_ppl.analysis.stepwise_file`).
+        found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
         frame: the posterior given the frames up to this one; by default all.
         prior: the program whose masses ``found`` has, for questions about further sites of it.
         table: of ``found``, if there is one.
@@ -123,6 +123,8 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
+        from phase_ppl.analysis.users_sites import with_sites
+
         prior = self.bound(self._prior)
         found = with_sites(prior, self._table, self._frame, self._words)
         return found._defining({**self._defined, **self._of_sites})
@@ -202,7 +204,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: see :func:`phase_ppl.analysis.stepwise_file.dimensions`."""
+        """What was read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
         return self._found
 
     @property
@@ -504,4 +506,4 @@ class StepwisePosterior(EventPosterior):
 
 def holds_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior of the closed loop."""
-    return root_attribute(path, "schema") in SCHEMAS
+    return root_attribute(path, "schema") == SCHEMA

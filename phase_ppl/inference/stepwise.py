@@ -15,8 +15,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
-from phase_ppl.analysis.stepwise_table import Table, table_of
+from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, labels, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.users_simulator import SimulatorFilter
@@ -238,7 +237,7 @@ class Watch:
         return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_file`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
@@ -308,7 +307,7 @@ def filtered_frames(
     threads: int | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_file`).
+    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_table`).
 
     Args:
         event: what to explain; only scene, observation and id are read.

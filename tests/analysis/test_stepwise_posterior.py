@@ -33,12 +33,13 @@ from tests.analysis.readings import (
     CAST,
     LEVELS,
     QUICK,
+    by_pairs,
     of_three,
     reading,
 )
 from tests.render.test_video import read
 
-FOUND = reading()
+FOUND, BY_PAIRS = reading(), by_pairs()
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +62,9 @@ def pairs() -> np.ndarray:
 
 def mass_of_each(frame: int, weight: float = 0.5) -> FloatArray:
     """Return the mass of every hypothesis: stated goals, alpha, strengths."""
-    likelihood = FOUND["log_likelihood"].values[: frame + 1].sum(axis=0)[tuple(pairs())]
+    likelihood = BY_PAIRS["log_likelihood"][: frame + 1].sum(axis=0)[tuple(pairs())]
     of_goals = np.exp(weight * likelihood)[..., None, None]
-    return np.exp(FOUND["log_prior"].values) * of_goals * FOUND["strengths"].values[frame] * 4
+    return np.exp(BY_PAIRS["log_prior"]) * of_goals * BY_PAIRS["strengths"][frame] * 4
 
 
 @pytest.mark.parametrize("frame", [0, 3])
@@ -93,7 +94,7 @@ def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
 def test_strengths_that_may_depend_on_goals_are_never_drawn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    log_prior = FOUND["log_prior"].values.copy()
+    log_prior = BY_PAIRS["log_prior"].copy()
     log_prior[:, :, 1:, 0] -= 5.0  # who helps or hinders is strong
     dependent = reading(columns={"log_prior": log_prior})
     questions = ("P(strength_red > 500)", "P(strength_red > 500 | alpha=(1, 0))")
@@ -111,7 +112,7 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
 ) -> None:
     each = [
         StepwisePosterior(reading(1, columns={"log_likelihood": one}))
-        for one in FOUND["log_likelihood_without"].values.astype(float)
+        for one in BY_PAIRS["log_likelihood_without"].astype(float)
     ]
 
     def of(answers: list[Any]) -> Any:
@@ -169,9 +170,9 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     # frames count in full, although the posterior tempers them
     assert evidence == pytest.approx(np.log(mass_of_each(3, weight=1.0).sum()))
     # the last one is as surprising as those before, tempered as they are, make it
-    before, of_frame = mass_of_each(2), FOUND["log_likelihood"].values[3][tuple(pairs())]
+    before, of_frame = mass_of_each(2), BY_PAIRS["log_likelihood"][3][tuple(pairs())]
     expected = (before.sum(axis=(3, 4)) * np.exp(of_frame)).sum() / before.sum()
-    surprise = FOUND["log_peak"].values[3] - np.log(expected)
+    surprise = BY_PAIRS["log_peak"][3] - np.log(expected)
     assert post.surprise()[3] == pytest.approx(surprise)
     tempered = StepwisePosterior(reading(weight=0.1))
     assert tempered.log_evidence == pytest.approx(evidence)
@@ -257,7 +258,7 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     fine = post.diagnostics()
     assert fine["unexplained_frames"] == fine["overlapping_frames"] == []
     assert fine["verdict"].startswith("Actions explain every frame")
-    poses = FOUND["trajectory"].values.copy()
+    poses = BY_PAIRS["trajectory"].copy()
     poses[2, 0, :2] = poses[2, 1, :2]  # red lies on green
     lying = diagnosed(trajectory=poses)
     assert lying["overlapping_frames"] == [2]
@@ -271,7 +272,7 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     odd = diagnosed(log_peak=np.array([0.0, 60.0, 60.0, 60.0]))
     assert odd["surprising_share"] == 1.0
     assert "100% of the frames surprise under every goal" in odd["verdict"]
-    without = FOUND["log_likelihood_without"].values.copy()
+    without = BY_PAIRS["log_likelihood_without"].copy()
     without[0, 1:, BLUE_NOT_TO_RED, BLUE_TO_RED] += 30.0
     split = diagnosed(log_likelihood_without=without)
     assert "sets of searches disagree" in split["verdict"]
@@ -379,7 +380,7 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again.marginal(name), post.marginal(name))
     with pytest.raises(InvalidEventError, match="closed loop, phase_ppl"):
         ppl.Posterior.load(file)
-    nan = FOUND["log_likelihood"].values * np.nan
+    nan = BY_PAIRS["log_likelihood"] * np.nan
     for damaged, said in (
         (FOUND.drop_vars("held"), "lacks held"),
         (reading(schema="other"), "schema is 'other'"),
