@@ -389,15 +389,14 @@ class EventPosterior(Hypotheses):
             values: of that argument.
 
         Returns:
-            The answers along ``value``, with their ``error``. NaN: too little was simulated for
-            that prior; the attribute ``refused`` lists the reasons, one per line.
+            The answers along ``value``, with their ``error``.
 
         Example:
             ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
             ``def related(p): ...`` that samples ``alpha`` and the rest.
 
         Raises:
-            InvalidSettingError: there is no answer for any value, or the answer is no number.
+            InvalidSettingError: too little was simulated for a prior, or the answer is no number.
             QueryError: as of :meth:`query`.
         """
         if not callable(prior):
@@ -410,15 +409,9 @@ class EventPosterior(Hypotheses):
             raise InvalidSettingError("values is empty: expected numbers")
         # the check is slow, and one value is enough
         self._checked(functools.partial(prior, at[0]))
-        answers: list[xr.DataArray | None] = []
-        refusals: list[str] = []
+        answers = []
         for value in at:
-            try:
-                answer = self.under(functools.partial(prior, value)).query(question)
-            except InvalidSettingError as error:
-                answers.append(None)
-                refusals.append(f"{value:g}: {error}")
-                continue
+            answer = self.under(functools.partial(prior, value)).query(question)
             if isinstance(answer, Estimate):
                 answer = xr.DataArray(float(answer), {"error": answer.error})
             if not isinstance(answer, xr.DataArray):
@@ -427,20 +420,8 @@ class EventPosterior(Hypotheses):
                     "expected a question with numbers as answer, such as P(relation)"
                 )
             answers.append(answer)
-        known = next((answer for answer in answers if answer is not None), None)
-        if known is None:
-            raise InvalidSettingError(
-                f"no value of the prior's argument can be answered for: {refusals[0]}"
-            )
-        nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-        filled = [nothing if answer is None else answer for answer in answers]
-        return (
-            xr.concat(filled, "value", join="override")
-            .assign_coords(value=at)
-            .assign_attrs(
-                question=question, prior=qualified_name(prior), refused="\n".join(refusals)
-            )
-        )
+        found = xr.concat(answers, "value", join="override").assign_coords(value=at)
+        return found.assign_attrs(question=question, prior=qualified_name(prior))
 
     def do(
         self,

@@ -49,8 +49,6 @@ having reached the same place."""
 _MOST_UNTRIED: Final = 0.5
 """Largest prior mass of untried goals, if suggested goals fit no better than others."""
 
-_STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
-
 
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
@@ -403,12 +401,7 @@ class Posterior(EventPosterior):
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
         Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
-        with ``sample_stats`` and ``posterior_predictive``. The latter is each draw's simulation
-        with the likelihood's noise on x and y of every frame, from a seed derived from the run's.
-        Angles are the simulation's, since the likelihood ignores them:
-        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})``. The paper's beta of 0.05 is a
-        tempered likelihood: its noise is 160 units long in a frame. A user's own likelihood has no
-        such group.
+        with ``sample_stats``.
 
         An indicator that does not change within any half of a chain has no R-hat; the attribute
         ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
@@ -429,20 +422,9 @@ class Posterior(EventPosterior):
     def _as_chains(self, how: str, *, moving: bool = False) -> Any:
         """Return the draws that are counted, chain by chain."""
         rows = np.arange(len(self._rows.weights)).reshape(trees.shape_of_draws(self._counted))
-        groups = {"sample_stats": self._counted["sample_stats"].to_dataset()}
-        simulated = self._counted[trees.SIMULATED].to_dataset()
-        if "beta" in simulated.attrs:  # else the noise of the likelihood is not known
-            from phase_ppl.models.likelihood import RadialLikelihood
-
-            rng = np.random.default_rng([int(self.settings.get("seed", 0)), _STREAM])
-            trajectory = simulated["trajectory"].astype(np.float64)
-            likelihood = RadialLikelihood(
-                float(simulated.attrs["beta"]), trajectory.sizes["entity"]
-            )
-            trajectory[..., :2] = likelihood.replicate(trajectory[..., :2].values, rng)
-            groups["posterior_predictive"] = simulated.assign(trajectory=trajectory)
+        stats = self._counted["sample_stats"].to_dataset()
         how += f", after a burn-in of {self._burn_in}" if self._burn_in else ""
-        return self._for_arviz(rows, self._beside, how, moving=moving, **groups)
+        return self._for_arviz(rows, self._beside, how, moving=moving, sample_stats=stats)
 
     @property
     def _weighting(self) -> str:

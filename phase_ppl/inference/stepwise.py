@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -283,9 +282,6 @@ watch = Watch
 
 # --- the whole video ------------------------------------------------------------------------------
 
-_TIMED: Final = 10  # frames after which the time of all is estimated
-_LONG: Final = 60.0  # seconds that are worth saying where no bar is shown
-
 
 class StepwiseInterrupted(KeyboardInterrupt):
     """The reading was interrupted; what was read until then is kept.
@@ -314,8 +310,7 @@ def filtered_frames(
         model: prior, and planner or simulator.
         seed, threads: as of :class:`Watch`; by default one per usable core.
         progress: whether to show a bar on stderr, with the time that is left; by default where
-            that is a terminal. Elsewhere one line says how long it will take, if that is more
-            than a minute; with False nothing does.
+            that is a terminal.
     """
     scene, seen = event.scene, event.observation
     options: dict[str, Any] = {"seed": seed, "threads": threads, "event_id": event.id}
@@ -323,7 +318,7 @@ def filtered_frames(
         frames = list(seen.trajectory)
         watching.take(frames[0])
         try:
-            for frame in _timed(frames[1:], progress):
+            for frame in counted(frames[1:], progress, "frame", "reading"):
                 watching.take(frame)
         except KeyboardInterrupt as stop:
             raise StepwiseInterrupted(watching.posterior()) from stop

@@ -323,7 +323,6 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
     "odd settings": rewritten(lambda run, arrays: run["again"].update(settings={"x": 1})),
     "list of settings": rewritten(lambda run, arrays: run["again"].update(settings=[3])),
     "no target": rewritten(lambda run, arrays: run.update(target={})),
-    "no failures": rewritten(lambda run, arrays: run.update(failures={})),
     "odd versions": rewritten(lambda run, arrays: run.update(versions=3)),
     "no numbers": rewritten(no_numbers),
 }
