@@ -19,7 +19,6 @@ from phase_ppl.inference.compare import Entry, entries
 from phase_ppl.inference.kernels.metropolis import PriorMH
 from phase_ppl.inference.reference import (
     Reference,
-    _halves_of,
     enumerate_goals,
     error_of,
     of_goals,
@@ -32,7 +31,6 @@ from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
-from tests.analysis.factory import posterior_of
 from tests.inference.runs import EVENT, MODEL, infer
 from tests.inference.toy import (
     all_of_few_goals,
@@ -367,24 +365,6 @@ def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
     assert of_goals(exact)["relation"][RELATIONS.index("friendly")] == pytest.approx(friendly)
 
 
-def test_the_reference_of_a_table_is_its_sum() -> None:
-    whole = ppl.load_event("collaborate")
-    short = ppl.Observation(whole.observation.trajectory[:3])
-    event = dataclasses.replace(whole, observation=short)
-    likelihood = ppl.StepwiseLikelihood(planner_seeds=1)
-    planner = ppl.PlannerConfig(simulations=14, particles=6)
-    model = ppl.Model(likelihood=likelihood, planner=planner)
-    options: dict[str, Any] = {"kernels": ["prior_mh"], "repeats": 1, "reference": "enumeration"}
-    found = ppl.compare(event, model, **{**SETTINGS, **options})
-    said = found.settings["reference"]
-    assert said["simulations"] == 0
-    assert said["error"] == {"tv_goals": 0, "tv_relation": 0}
-    assert "which is exact" in str(found)
-    assert "rank by" not in str(found), "of one kernel"
-    exact = ppl.infer(event, model, seed=5, progress=False)
-    np.testing.assert_allclose(said["marginals"]["relation"], exact.marginal("relation"))
-
-
 @pytest.mark.parametrize("sd", [0.3, 5.8])
 def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
     pairs = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
@@ -404,11 +384,3 @@ def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
         stated.append(error["tv_goals"])
     assert np.mean(np.less(true, stated)) >= 0.7
     assert np.mean(true) < np.mean(stated) < 2.5 * np.mean(true)
-
-
-def test_halves_of_a_long_run_are_the_first_chains_and_every_other_one() -> None:
-    # red's goal is another in every other chain; the first two have both, as the last two
-    post = posterior_of((2, 5), [[0, 0], [1, 1], [0, 0], [1, 1]])
-    error = error_of(_halves_of(post))
-    assert error is not None
-    assert error["tv_goals"] == pytest.approx((0 + 1 / 2) / 2)

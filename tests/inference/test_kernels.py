@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.inference.kernels.local_mh import (
@@ -39,7 +38,6 @@ from tests.inference.toy import (
 )
 
 ERRORS = table_errors()
-KEYS = random.split(random.key(0), 2)
 
 
 # --- arrays that are longer than the observation ----------------------------------------------
@@ -71,16 +69,6 @@ def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observati
     unknown = made(20, kernel=lambda program: PriorMH(program))
     assert own.recipe[-1] == unknown.recipe[-1] == 20
     assert made(20, kernel=PriorMH).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
-
-
-def test_windows_that_there_are_not_are_never_chosen() -> None:
-    errors = np.random.default_rng(3).gamma(2.0, 3.0, 20).astype(np.float32)
-    exact = log_window_choice(jnp.asarray(errors), 0.3, 4)
-    longer = log_window_choice(jnp.asarray(np.pad(errors, (0, 44))), 0.3, 4, len(exact))
-    np.testing.assert_array_equal(longer[: len(exact)], exact)
-    assert np.isneginf(longer[len(exact) :]).all()
-    for key in random.split(KEYS[0], 5):
-        assert random.categorical(key, longer) == random.categorical(key, exact)
 
 
 # --- the rules, on a chain so small that its transition matrix can be written down ---------------

@@ -14,7 +14,7 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.kernels.smc import SMC, Tempered
+from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.weighted import (
     Enumeration,
     Importance,
@@ -23,10 +23,9 @@ from phase_ppl.inference.kernels.weighted import (
 )
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import compiled_quickly
-from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from tests.inference.toy import (
     ALPHA_CODES,
     GREEN_GOALS,
@@ -105,14 +104,6 @@ def test_a_population_is_cooled_to_the_posterior_and_estimates_the_evidence(move
     np.testing.assert_allclose(first.log_weight, expected, atol=1e-3)
     evidence = [float(state.log_evidence[0]) for state in (first, last)]
     assert evidence == pytest.approx([exact_log_evidence(ERRORS)] * 2, abs=0.1)
-
-
-def test_a_tempered_likelihood_allows_the_error_at_which_it_reaches_the_floor() -> None:
-    for temperature in (0.25, 1.0):
-        tempered = Tempered(RadialLikelihood(), jnp.array(temperature))
-        error = tempered.max_total_error(-200.0, 4)
-        assert tempered.log_prob(np.full(4, error / 4)).sum() == pytest.approx(-200, rel=1e-4)
-    assert Tempered(RadialLikelihood(), jnp.array(0.0)).max_total_error(-200.0, 4) == np.inf
 
 
 def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
@@ -230,27 +221,6 @@ def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     assert np.exp(twice.log_prior)[weak].sum() == pytest.approx(
         np.exp(whole.log_prior)[once].sum(), rel=1e-3
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "relation_first",
-        "strength_levels",
-        "correlated_strengths",
-        "sparse_social",
-        "symmetric_alphas",
-    ],
-)
-def test_infer_runs_with_each_ready_made_prior(name: str) -> None:
-    kernel = "local_mh" if name in ("relation_first", "strength_levels") else "prior_mh"
-    options: dict[str, Any] = {"chains": 3, "iterations": 1, "workers": 1, "progress": False}
-    post = ppl.infer(EVENT, Model(prior=name, simulator=walkers), kernel=kernel, **options)
-    assert post.settings["model"]["prior"].endswith(name)
-    assert np.isfinite(post.tree["simulations"]["log_prior_effective"]).all()
-    if name == "strength_levels":
-        assert np.isin(post.tree["posterior"]["strength_red"], STRENGTH_LEVELS).all()
 
 
 # --- what is refused ---------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.reference import POPULATIONS, Reference, reference_of
 from phase_ppl.inference.table_run import event_of, model_of
 from phase_ppl.world.errors import InvalidSettingError
-from tests.inference.tables import EXACT, NAMES, sampled, skewed
+from tests.inference.tables import EXACT, NAMES, skewed
 from tests.inference.toy import few_goals
 
 COMPARED: dict[str, Any] = {
@@ -56,24 +55,6 @@ def test_kernels_are_compared_with_what_is_exact() -> None:
     first, last = (curve.groupby("repeat")["tv_goals"].nth(at).mean() for at in (0, -1))
     assert first > 2 * last
     assert curve["simulations"].max() == 6_060
-
-
-def test_a_run_of_a_comparison_is_one_of_infer() -> None:
-    row = compared().runs.iloc[0]
-    post = sampled(iterations=None, budget=COMPARED["budget"], seed=int(row["seed"]))
-    assert distances(marginals(post), marginals(EXACT))["tv_goals"] == pytest.approx(
-        row["tv_goals"], abs=1e-9
-    )
-
-
-@pytest.mark.parametrize("likelihood", [None, ppl.StepwiseLikelihood(planner_seeds=1)])
-def test_what_was_read_with_other_settings_is_compared(likelihood: Any) -> None:
-    how = {**ppl.StepwiseLikelihood(planner_seeds=1).to_dict(), "weight": 0.2}
-    settings = json.dumps({**EXACT.settings, "likelihood": how})
-    read = StepwisePosterior(EXACT.dataset.assign_attrs(settings=settings), prior=EXACT.prior)
-    model = None if likelihood is None else ppl.Model(likelihood=likelihood)
-    found = ppl.compare(read, model, **{**COMPARED, "kernels": ["prior_mh"], "repeats": 1})
-    assert found.runs["tv_goals"][0] < 0.15
 
 
 def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:

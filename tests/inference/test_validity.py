@@ -273,10 +273,10 @@ def test_particles_do_not_notice_each_other(name: str) -> None:
     assert_same(fourth, run(name).states, (slice(BLOCK), 4))
 
 
-def test_a_single_particle_is_stopped_early_only_where_that_is_wanted(name: str) -> None:
+def test_a_single_particle_is_stopped_early_only_where_that_is_wanted() -> None:
     sites = {site: values[0] for site, values in START.items()}
     for early_reject in (True, False):
-        single = kernel(name, 0, early_reject=early_reject)
+        single = kernel("prior_mh", 0, early_reject=early_reject)
         state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
         assert jax.eval_shape(single.sample, state) == state
         stops = []
