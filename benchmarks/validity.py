@@ -35,7 +35,7 @@ CHAINS = 100
 POPULATION_STEPS = 9
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "local_mh (paper)": ("local_mh", {"rule": "paper"}),
-    "enumerate": ("enumerate", {"noise_seeds": 30}),
+    "enumerate": ("enumerate", {}),
 }
 
 

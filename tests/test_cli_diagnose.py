@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from tests.analysis.factory import random_tree, tree_by_frame
 from tests.test_cli import Capture, fails, told
@@ -29,7 +30,7 @@ def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys
     for word in ("accepted", "windows", "log joint", "goal red", "scenario", "checks"):
         assert f"\n{word}" in printed
     said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
-    post = Posterior.load(folder / "posterior.nc", "likelihood")
+    post = ppl.load_posterior(folder / "posterior.nc", "likelihood")
     assert json.loads(said) == post.diagnostics()
     assert str(post.diagnostics()).startswith(f"diagnostics  {post.event_id}: ")
 

@@ -124,7 +124,7 @@ class Hypotheses(Printed):
                 called at once, once per distinct hypothesis.
 
         Words are saved along with the posterior; define functions, and what is defined by them,
-        again after :meth:`Posterior.load`.
+        again after loading.
 
         Example:
             ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
@@ -379,13 +379,8 @@ class Hypotheses(Printed):
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(bounds, coords, dims="bound", name=name)
 
-    def query(self, question: str, *, weights: str | None = None) -> Any:
+    def query(self, question: str) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
-
-        Args:
-            question: in words.
-            weights: of draws, instead of those in use (:mod:`phase_ppl.analysis.weights`); for
-                posteriors that were sampled.
 
         :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
         asks the same: P(conditions) of :meth:`probability`, P(name) of :meth:`marginal`, P(name,
@@ -399,8 +394,6 @@ class Hypotheses(Printed):
                 does not have, or conditions on what has probability 0; the message points at
                 the place.
         """
-        if weights is not None:
-            return self._under_weights(weights).query(question)
         if (of := self._knowing(given=question)) is not self:
             return of.query(question)
         queries = understood(question, self._quantities)
@@ -453,9 +446,6 @@ class Hypotheses(Printed):
         with np.errstate(divide="ignore", invalid="ignore"):
             shared = float(without.error(replicates[0] / replicates[1], float(one / other)))
         return estimate.ratio(one, other, (own[0], own[1], shared))
-
-    def _under_weights(self, weights: str) -> Hypotheses:
-        raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return one row per draw, simulation or hypothesis: labels, numbers, ``weight``.

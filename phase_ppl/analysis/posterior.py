@@ -444,28 +444,6 @@ class Posterior(EventPosterior):
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
         return {node.path: node.to_dataset(inherit=False) for node in tree.subtree}, {}
 
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        weights: str | None = None,
-        *,
-        burn_in: int | None = None,
-    ) -> Posterior:
-        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        from phase_ppl.data.hdf5 import read_netcdf
-
-        try:
-            tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
-            return cls(tree, weights, burn_in=burn_in)
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-
     def _head(self, found: Mapping[str, Any]) -> str:
         after = self.burn_in and self.weights == "count"
         return (
@@ -536,8 +514,6 @@ def load_posterior(
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or of the closed loop.
 
-    ``Posterior.load`` and ``StepwisePosterior.load`` do the same for one kind and refuse the other.
-
     Args:
         path: the .nc file.
         weights, burn_in: of the draws of a sampled one; by default those it was saved with.
@@ -547,14 +523,22 @@ def load_posterior(
         InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, holds_stepwise
+    from phase_ppl.analysis.stepwise_posterior import FRAME, StepwisePosterior
+    from phase_ppl.analysis.stepwise_table import SCHEMA
+    from phase_ppl.data.hdf5 import read_netcdf
 
-    if not holds_stepwise(existing_file(path)):
-        return Posterior.load(path, weights, burn_in=burn_in)
-    for name, given in (("weights", weights), ("burn_in", burn_in)):
-        if given is not None:
-            raise InvalidSettingError(
-                f"{name}={given!r}: {path} has a posterior of the closed loop, which has no draws "
-                f"to weight: leave {name} out"
-            )
-    return StepwisePosterior.load(path)
+    source = existing_file(path)
+    try:
+        groups = dict(read_netcdf(source))
+        read = groups["/"]
+        if read.attrs.get("schema") != SCHEMA:
+            return Posterior(xr.DataTree.from_dict(groups), weights, burn_in=burn_in)
+        for name, given in (("weights", weights), ("burn_in", burn_in)):
+            if given is not None:
+                raise InvalidSettingError(
+                    f"{name}={given!r}, but a posterior of the closed loop has no draws to weight: "
+                    f"leave {name} out"
+                )
+        return StepwisePosterior(read, read.attrs.pop(FRAME, None))
+    except (InvalidEventError, InvalidSettingError) as error:
+        raise type(error)(f"{source}: {error}") from None

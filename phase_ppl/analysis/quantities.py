@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Mapping
 from typing import Any, Final, cast
 
@@ -34,7 +33,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import array
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import (
     ALPHAS,
@@ -163,23 +162,14 @@ def users_quantity(
 ) -> tuple[Quantity, NDArray[Any]]:
     """Return a user's own site as a quantity, and its column as codes or numbers.
 
-    What is not real is a category: its labels are the attribute ``flag_meanings`` (JSON, by
-    code) where the tree has one, otherwise all values that occur.
+    What is not real is a category: its labels are all values that occur.
     """
     variable = tree["posterior"].dataset[name]
     if variable.dtype.kind == "f":
         return Quantity(name), values
     occurring = np.unique(np.append(variable.values, array(tree, "simulations", name)))
-    if "flag_meanings" not in variable.attrs:
-        options = tuple(occurring.tolist())
-        discrete = Quantity(name, tuple(map(str, options)), options)
-        return discrete, np.searchsorted(occurring, values)
-    meanings = tuple(map(str, json.loads(variable.attrs["flag_meanings"])))
-    if not np.isin(occurring, np.arange(len(meanings))).all():
-        raise InvalidEventError(
-            f"{name} takes the values {occurring.tolist()} but has {len(meanings)} labels"
-        )
-    return Quantity(name, meanings), values
+    options = tuple(occurring.tolist())
+    return Quantity(name, tuple(map(str, options)), options), np.searchsorted(occurring, values)
 
 
 def _part_codes(goal: int, holder: int) -> tuple[int, ...]:

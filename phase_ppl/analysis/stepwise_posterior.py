@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -21,22 +20,19 @@ from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.query import Definition
-from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, table_of
+from phase_ppl.analysis.stepwise_table import Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.data.hdf5 import read_netcdf, root_attribute
 from phase_ppl.models.prior_masses import MOST_HYPOTHESES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     QueryError,
     UnknownNameError,
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
-from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
 
 if TYPE_CHECKING:
@@ -49,7 +45,7 @@ FILTERING: Final = (
 )
 """Goes with every result over time."""
 
-_FRAME: Final = "frame"  # attribute of files: the last frame that is counted
+FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 
 
 class StepwisePosterior(EventPosterior):
@@ -113,7 +109,7 @@ class StepwisePosterior(EventPosterior):
         combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
 
         Raises:
-            InvalidSettingError: the prior has none, or is not known, as after :meth:`load`.
+            InvalidSettingError: the prior has none, or is not known, as after loading.
         """
         if not self._site_names:
             raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
@@ -151,9 +147,9 @@ class StepwisePosterior(EventPosterior):
         said = (*names, *given) if isinstance(given, Mapping) else (*names, given)
         return self.sites if any(map(self._names_sites, said)) else self
 
-    def query(self, question: str, *, weights: str | None = None) -> Any:
+    def query(self, question: str) -> Any:
         try:
-            return super().query(question, weights=weights)
+            return super().query(question)
         except QueryError:
             if self._prior is None or not self._site_names:
                 raise
@@ -209,7 +205,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def prior(self) -> Callable[..., object] | None:
-        """The program of the prior, as far as it is known; None after :meth:`load`."""
+        """The program of the prior, as far as it is known; None after loading."""
         return self._prior
 
     @property
@@ -436,26 +432,8 @@ class StepwisePosterior(EventPosterior):
 
     def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
         found = self._found.copy()
-        found.attrs |= {_FRAME: self._frame}
+        found.attrs |= {FRAME: self._frame}
         return {"/": found}, {"zlib": True, "complevel": 4}
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> StepwisePosterior:
-        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        if not holds_stepwise(source):
-            raise InvalidEventError(
-                f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
-            )
-        try:
-            found = read_netcdf(source)["/"]
-            return cls(found, found.attrs.pop(_FRAME, None))
-        except (InvalidEventError, InvalidSettingError) as error:
-            raise type(error)(f"{source}: {error}") from None
 
     def _judged(self) -> dict[str, Any]:
         return {"log_evidence": self.log_evidence, **super()._judged(), "frame": self.frame}
@@ -502,8 +480,3 @@ class StepwisePosterior(EventPosterior):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
-
-
-def holds_stepwise(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds a posterior of the closed loop."""
-    return root_attribute(path, "schema") == SCHEMA

@@ -342,7 +342,7 @@ def _kernels(text: str) -> dict[str, Any]:
 
 def _reference(text: str | None) -> Any:
     if text is not None and text.endswith(".nc"):
-        return phase_ppl.Posterior.load(text)
+        return phase_ppl.load_posterior(text)
     if text is None or ":" not in text:
         return text
     return users_parts.with_settings(text, "--reference")

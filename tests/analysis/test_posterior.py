@@ -11,7 +11,7 @@ import pytest
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, SCENARIOS
 
@@ -145,20 +145,12 @@ def test_replay_is_the_stored_simulation_of_the_map_where_a_chain_kept_it() -> N
     assert (rejected.replay() == 1).all()
 
 
-def test_a_site_of_the_users_own_can_be_asked_for_and_may_carry_labels() -> None:
+def test_a_site_of_the_users_own_can_be_asked_for() -> None:
     post = posterior_of([hypothesis()] * 3, [[0, 1, 2, 2]], own_site=[0, 2, 1])
     np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])
     assert post.probability(mood=1, given=RED_BLUE) == pytest.approx(0.5)
     negative = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[-3, 4])
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
-    tree = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[0, 2]).tree
-    attrs = tree["posterior"].dataset["mood"].attrs
-    attrs["flag_meanings"] = '["calm", "keen", "angry"]'
-    np.testing.assert_allclose(Posterior(tree).marginal("mood"), [0.5, 0, 0.5])
-    assert Posterior(tree).probability(mood="angry") == pytest.approx(0.5)
-    attrs["flag_meanings"] = '["calm"]'
-    with pytest.raises(InvalidEventError, match="mood"):
-        Posterior(tree)
 
 
 def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:

@@ -408,7 +408,7 @@ def test_draws_under_another_prior_are_weighted_by_it(tmp_path: Path) -> None:
     assert lone.probability(alpha="(0, 0)") == pytest.approx(1)
     assert lone.settings["reweighted"]["effective_size"] < 34**2
     assert "equal draws" in str(lone)
-    again = ppl.Posterior.load(lone.save(tmp_path / "run.nc"))
+    again = ppl.load_posterior(lone.save(tmp_path / "run.nc"))
     np.testing.assert_array_equal(again.marginal("relation"), lone.marginal("relation"))
     assert again.settings["reweighted"]["from"] == "the.uniform"  # the run's, not the last one
 

@@ -234,7 +234,7 @@ def test_a_table_without_room_is_refused_in_one_line() -> None:
 # --- where there is nothing to learn from -------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", ["amis", AMIS, AMIS()])
+@pytest.mark.parametrize("kernel", ["amis", AMIS])
 def test_what_was_read_is_summed_and_not_learned(kernel: Any) -> None:
     with pytest.raises(InvalidSettingError, match=r"'amis' learns .* summed exactly") as refused:
         ppl.infer(READ, kernel=kernel, progress=False)

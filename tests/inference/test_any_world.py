@@ -384,7 +384,7 @@ STEPWISE = ppl.StepwiseLikelihood()
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kernel": "enumerate"}, "'trio' has .* more than max_simulations=50000"),
+        ({"kernel": "enumerate"}, "'trio' has .* more than 50000"),
         ({"kernel": "prior_mh", "settings": ppl.SimpleSettings(proposal="learned")},
          "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'"),
         ({"kernel": "local_mh", "settings": ppl.SimpleSettings(strength="network")},

@@ -77,7 +77,7 @@ def test_the_first_failure_is_told_and_kept(limit: float, state: str, tmp_path: 
     (check,) = (one for one in found["checks"] if one["name"] == "simulations succeeded")
     assert check["state"] == state
     assert "len()" in found["first_failure"]
-    for one in (post, ppl.Posterior.load(post.save(tmp_path / "post.nc"))):
+    for one in (post, ppl.load_posterior(post.save(tmp_path / "post.nc"))):
         assert "TypeError: object of type 'numpy.float64' has no len() (test_failing" in words(one)
     if state == "fail":
         assert found["trust"] == "do not trust"

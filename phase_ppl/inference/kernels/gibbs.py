@@ -20,7 +20,7 @@ from phase_ppl.inference.kernels.metropolis import EventKernel, chosen, log_unif
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError, positive_number
+from phase_ppl.world.errors import InvalidSettingError
 
 
 class GibbsState(NamedTuple):
@@ -38,6 +38,7 @@ class GibbsState(NamedTuple):
 
 SEED_SITE: Final = "_simulator_seed"  # uniform number that stands for the simulator's seed
 _DRAWS: Final = 256
+_STEP: Final = 0.5  # standard deviation of steps, in standard deviations of the prior
 
 
 class WalkState(NamedTuple):
@@ -109,20 +110,15 @@ class GibbsKernel(EventKernel):
     target is the joint law of hypothesis and seed. An iteration takes one simulation for each
     discrete site and one for the rest.
 
-    Args:
-        step: standard deviation of the steps of real sites, in standard deviations of the prior.
-
     Raises:
-        InvalidSettingError: ``step`` is no positive number, or a discrete site's values are not
-            0, 1, ..., n.
+        InvalidSettingError: a discrete site's values are not 0, 1, ..., n.
     """
 
     validity = "exact"
     starts, moves = ("begun",), ("moved",)
 
-    def __init__(self, program: EventProgram, *, step: float = 0.5) -> None:
+    def __init__(self, program: EventProgram) -> None:
         super().__init__(program)
-        self._step_size = positive_number("step", step)
         self.sims_per_step  # noqa: B018  (refuses sites that it cannot update)
 
     @property
@@ -178,7 +174,7 @@ class GibbsKernel(EventKernel):
         with jax.ensure_compile_time_eval():
             keys = random.split(random.key(0), _DRAWS)
             draws = jax.vmap(lambda key: draw(self.program.model.prior, key))(keys)
-            return {name: self._step_size * values.std(axis=0) for name, values in draws.items()}
+            return {name: _STEP * values.std(axis=0) for name, values in draws.items()}
 
     def begun(self, key: jax.Array, given: dict[str, jax.Array] | None) -> GibbsState:
         key, key_sites, key_start = random.split(key, 3)
