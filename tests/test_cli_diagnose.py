@@ -27,7 +27,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys: Capture) -> None:
     printed = told(capsys, "diagnose", folder)
     assert told(capsys, "diagnose", folder / "posterior.nc") == printed
-    for word in ("accepted", "windows", "log joint", "goal red", "scenario", "checks"):
+    for word in ("accepted", "windows", "log_joint", "goal_red", "scenario", "checks"):
         assert f"\n{word}" in printed
     said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
     post = ppl.load_posterior(folder / "posterior.nc", "likelihood")
@@ -48,10 +48,10 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics(tmp_path: Path, capsy
     found = post.diagnostics()
     rows = told(capsys, "diagnose", post.save(tmp_path / "post.nc")).splitlines()
     one = found["scalars"]["log_joint"]
-    row = next(row for row in rows if row.startswith("log joint")).split()[2:]
+    row = next(row for row in rows if row.startswith("log_joint")).split()[1:]
     assert row == [f"{one['r_hat']:.2f}", f"{one['ess_bulk']:.0f}", f"{one['ess_tail']:.0f}"]
     label, entry = next(iter(found["categories"]["goal_red"].items()))
-    row = next(row for row in rows if row.startswith("goal red"))
+    row = next(row for row in rows if row.startswith("goal_red"))
     assert label in row
     numbers = [entry[name] for name in ("probability", "share", "mcse", "ess", "r_hat")]
     np.testing.assert_allclose([float(x) for x in row.split()[-5:]], numbers, atol=0.5)

@@ -1,4 +1,4 @@
-"""Search for an unseen item, with and without the cost of the way."""
+"""Search for an unseen item, with and without the cost of the way; ``ppl.plot.search`` draws it."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import PredicateKind
-from phase_ppl.world.picture import LABEL, Printed, plain, wrapped
+from phase_ppl.world.picture import Printed, plain, wrapped
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 
@@ -339,7 +339,13 @@ def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, An
 
 # --- as a table -----------------------------------------------------------------------------------
 
-_NAME: Final = 38  # columns of a name, beside the label before it
+_SCALARS: Final = {"r_hat": "R-hat", "ess_bulk": "bulk ESS", "ess_tail": "tail ESS"}
+_CATEGORIES: Final = {
+    **{"probability": "P", "share": "draws", "mcse": "MCSE"},
+    **{"ess": "ESS", "r_hat": "R-hat"},
+}
+"""Columns of the tables -> their headings."""
+
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
 
 
@@ -376,32 +382,31 @@ class Diagnostics(Printed, dict[str, Any]):
             f"{self['best_error_per_frame']:.2f} units per frame from the observation",
         }
         lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
-        lines += ["", _row("", ("R-hat", "bulk ESS", "tail ESS"), 12)]
-        for name, entry in self["scalars"].items():
-            sizes = [_number(entry[f"ess_{of}"], 0) for of in ("bulk", "tail")]
-            lines.append(_row(name.replace("_", " "), [_number(entry["r_hat"]), *sizes], 12))
-        lines += ["", _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7)]
-        for name, categories in self["categories"].items():
-            label = name.replace("_", " ")
-            for category, entry in categories.items():
-                cells = [_number(entry[column]) for column in ("probability", "share", "mcse")]
-                cells += [_number(entry["ess"], 0), _number(entry["r_hat"])]
-                lines.append(_row(f"{label:<{LABEL}}{category}", cells, 7))
-                label = ""
-            if (apart := self["between_chain_tv"].get(name)) is not None:
+        lines += ["", _table(self["scalars"], _SCALARS), ""]
+        by_label = {
+            (name, label): entry
+            for name, labels in self["categories"].items()
+            for label, entry in labels.items()
+        }
+        lines += [_table(by_label, _CATEGORIES), ""]
+        for name, apart in self["between_chain_tv"].items():
+            if apart is not None:
                 lines += wrapped(
-                    "",
+                    name,
                     f"the same goal leads in {self['agreement'][name]:.0%} of the particles; two "
                     f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
                     "(total variation)",
                 )
-            lines.append("")
-        return "\n".join([*lines, *verdict_lines(self)])
+        return "\n".join([*lines, "", *verdict_lines(self)])
 
 
-def _row(label: str, cells: Iterable[str], width: int) -> str:
-    room = LABEL + _NAME
-    return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
+def _table(rows: Mapping[Any, Mapping[str, float | None]], columns: Mapping[str, str]) -> str:
+    """Return rows as a table; "-": not known."""
+    found = pd.DataFrame.from_dict(rows, orient="index")[list(columns)].astype(float)
+    for name in columns:
+        form = "{:.0f}" if name.startswith("ess") else "{:.2f}"
+        found[name] = [form.format(x) if np.isfinite(x) else "-" for x in found[name]]
+    return found.rename(columns=columns).to_string()
 
 
 def _of_windows(windows: Mapping[str, Any]) -> str:
@@ -414,7 +419,3 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
         text += f" of {windows['frames']} frames"
     text += f", half of which begin in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

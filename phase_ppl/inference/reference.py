@@ -347,10 +347,10 @@ def reference_of(
     amount = asked.budget.amount / POPULATIONS
     in_seconds = asked.budget.unit == "seconds"
     share = dataclasses.replace(asked.budget, amount=amount if in_seconds else max(1, int(amount)))
-    options: dict[str, Any] = {"chains": asked.particles, "budget": share, "progress": False}
-    options |= {"settings": asked.settings, "workers": workers, "executor": executor}
+    of_run: dict[str, Any] = {"chains": asked.particles, "budget": share, "progress": False}
+    of_run |= {"settings": asked.settings, "workers": workers, "executor": executor}
     posts = [
-        infer(event if read is None else read, model, kernel=LONG_RUN, seed=number, **options)
+        infer(event if read is None else read, model, kernel=LONG_RUN, seed=number, **of_run)
         for number in np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
     ]
     words = f"{LONG_RUN}, {asked.budget}"

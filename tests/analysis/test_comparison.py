@@ -34,7 +34,6 @@ from .factory import (
     posterior_of,
     random_tree,
 )
-from .pages import texts_apart
 
 TRUTH = Truth(BLUE_TO_RED, PINK_TO_BLUE)
 
@@ -218,15 +217,6 @@ def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() 
 
 
 # --- the figure --------------------------------------------------------------------------------
-
-
-def test_figure_labels_every_line_and_no_text_covers_another() -> None:
-    figure = plots.comparison(made_up({**FOUR, "last population": -0.4}))
-    assert texts_apart(figure) > 20
-    names = {*FOUR, "last population", "reference"}
-    for axes, extra in zip(figure.axes, ((), ("reference",)), strict=True):
-        labels = {text.get_text() for text in axes.texts} & names
-        assert labels == {*FOUR, "last population", *extra}
 
 
 def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(

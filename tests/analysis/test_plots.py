@@ -176,24 +176,6 @@ def test_windows_are_shaded_where_proposals_came_from() -> None:
     assert not plots.errors(posterior_of([hypothesis()], [[0, 0]])).axes[0].images
 
 
-def test_acceptance_of_many_iterations_is_drawn_in_stretches() -> None:
-    post = many_goals(4, 100)
-    figure = plots.diagnostics(post)
-    assert texts_apart(figure) > 5
-    axes = figure.axes[-1]
-    rates = np.array(post.diagnostics()["acceptance_by_iteration"])
-    heights = [bar.get_height() for bar in axes.patches]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(heights, rates.reshape(20, 5).mean(axis=1))
-
-
-def test_a_users_real_site_is_a_scalar() -> None:
-    tree = posterior_of([hypothesis()] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
-    assert "mood" not in Posterior(tree).diagnostics()["scalars"]  # of categories
-    for group in ("posterior", "simulations"):
-        tree[group]["mood"] = tree[group]["mood"].astype(float)
-    assert "mood" in Posterior(tree).diagnostics()["scalars"]
-
-
 # --- what a notebook shows ------------------------------------------------------------------------
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import log_sum_exp, normalised, truncated
@@ -245,17 +243,6 @@ def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> N
         stratified([Simulation(A, 1, completed=False)], [(A, 1.0)])
 
 
-def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean() -> None:
-    found = truncated(np.array([0.94, 0.02, 0.02, 0.02]))
-    # half of the sum first, then half of the 0.56 that are left
-    np.testing.assert_allclose(found, np.array([0.28, 0.02, 0.02, 0.02]) / 0.34)
-    even = np.full(9, 1 / 9)
-    np.testing.assert_allclose(truncated(even), even)
-    # what answers all of a thousand requests alike is truncated by their number, not by its own
-    few, n_requests = np.array([0.94, 0.05, 0.01]), np.array([9400, 500, 100])
-    np.testing.assert_allclose(truncated(few, n_requests), few)
-
-
 def test_a_burn_in_does_not_count() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1)], [[0, 0, 1, 1], [0, 1, 1, 1]])
     assert goal_probabilities(Posterior(tree, burn_in=2)) == pytest.approx({PINK_TO_BLUE: 1.0})
@@ -358,14 +345,6 @@ def test_a_failed_simulation_counts_for_nothing() -> None:
     np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
 
 
-def test_it_says_that_it_is_hindsight() -> None:
-    post = Posterior(tree_by_frame())
-    found = post.over_time()
-    assert "proposed from the whole video" in found.attrs["hindsight"]
-    assert found["time"].attrs["units"] == "s"
-    np.testing.assert_array_equal(found["time"], post.tree["observed_data"]["time"])
-
-
 def test_likelihoods_of_another_shape_or_none_are_named() -> None:
     with pytest.raises(InvalidEventError, match="step_log_likelihood"):
         Posterior(random_tree()).over_time()
@@ -374,14 +353,3 @@ def test_likelihoods_of_another_shape_or_none_are_named() -> None:
     tree["simulations"]["step_log_likelihood"] = renamed
     with pytest.raises(InvalidEventError, match="simulations/step_log_likelihood has dimensions"):
         Posterior(tree)
-
-
-def test_the_figure_draws_what_is_probable_and_names_it(tmp_path: Path) -> None:
-    post = Posterior(tree_by_frame())
-    figure = plots.over_time(post, tmp_path / "over time.png")
-    assert (tmp_path / "over time.png").read_bytes().startswith(b"\x89PNG")
-    assert "Hindsight" in figure.texts[1].get_text()
-    goals, _, relations = ({text.get_text() for text in axes.texts} for axes in figure.axes)
-    assert relations == {"friendly", "neutral", "adversarial"}
-    peak = post.over_time()["goal_red"].max("time").to_series()
-    assert goals - {"all other goals"} == set(peak.nlargest(5)[lambda p: p >= 0.1].index)

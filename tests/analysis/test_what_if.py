@@ -281,23 +281,6 @@ HOME, FIELD, AWAY, AWAY_FROM_FIELD = (
 )
 
 
-def test_whoever_hinders_follows_a_stated_goal_and_not_an_effective_one() -> None:
-    space = space_of(CAST)  # red brings a ball home, purple hinders it, green wants it in the field
-    sites = {"goal_red": HOME, "goal_green": FIELD, "goal_purple": 0}
-    sites |= {"company": space.ways.index((None, None, (0, -1)))}
-    sites |= dict.fromkeys(space.strength_sites, 450)
-
-    def changed(relation: Any = None, **given: str) -> tuple[int, ...]:
-        return Change.of(CAST, given, relation=relation).hypothesis(sites).effective_goals
-
-    assert changed() == (HOME, FIELD, AWAY)
-    assert changed(stated_goal_red="Get blue ball to field") == (FIELD, FIELD, AWAY_FROM_FIELD)
-    assert changed(goal_red="Get blue ball to field") == (FIELD, FIELD, AWAY)
-    assert changed(goal_purple="Get blue ball to field") == (HOME, FIELD, FIELD)
-    assert changed(relation={("purple agent", "green agent"): "help"}) == (HOME, FIELD, FIELD)
-    assert changed(relation={}) == (HOME, FIELD, 0)
-
-
 def test_what_a_world_does_not_have_is_refused() -> None:
     two = ("red agent", "green agent")
     cases: tuple[tuple[dict[str, Any], str], ...] = (

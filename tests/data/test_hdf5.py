@@ -379,7 +379,7 @@ FOREIGN: list[tuple[bytes | xr.Dataset, str]] = [
     (_foreign(format="phase-ppl-event-2"), "'phase-ppl-event-2'"),
     (
         _foreign(schema="phase-ppl-posterior-1"),
-        "is a posterior, not an event; phase_ppl.Posterior.load reads it",
+        "is a posterior, not an event; phase_ppl.load_posterior reads it",
     ),
     *(
         (_dropped("event").assign(event=(dims, name)), " is ")

@@ -6,7 +6,7 @@ another. A user's own function gets the same style with the decorator ``in_style
 with ``new_figure`` and ends with ``written``.
 """
 
-from phase_ppl.analysis.figures.beliefs import beliefs
+from phase_ppl.analysis.figures.beliefs import beliefs, search
 from phase_ppl.analysis.figures.curves import (
     comparison,
     data_card,
@@ -30,6 +30,7 @@ __all__ = [
     "new_figure",
     "over_time",
     "posterior",
+    "search",
     "training_curves",
     "why",
     "written",

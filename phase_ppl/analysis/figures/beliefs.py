@@ -1,4 +1,4 @@
-"""What an agent sees and believes (paper, Appendix C: belief update)."""
+"""What an agent believes and where it looks (paper, Appendix C: belief update, value function)."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.analysis.figures.posterior import draw_arena, draw_entity
-from phase_ppl.analysis.figures.style import NORMAL, figure_of, new_figure, written
+from phase_ppl.analysis.figures.style import NORMAL, figure_of, in_style, new_figure, written
 from phase_ppl.data.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, State
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.names import AGENTS, ENTITIES
-from phase_ppl.world.scene import PHASE
+from phase_ppl.world.geometry import heading
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.scene import PHASE, Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,4 +146,68 @@ def beliefs(
         name = f"{now / FRAMES_PER_SECOND:.2f} s"
         row[0].text(0.02, 0.5, name, transform=row[0].transAxes, rotation=90, va="center",
                     ha="right", fontsize=NORMAL)  # fmt: skip
+    return written(figure, path)
+
+
+# --- searching for what is not seen ---------------------------------------------------------------
+
+_SEARCH: Final[dict[str, Any]] = {
+    "walls": (10.0, 5.0, 0.0, 7.5),
+    "start": [[8.5, 19.5, 0.0], [20.0, 10.0, 2.8], [12.0, 20.0, 0.0], [24.0, 4.0, 0.0]],
+    "goals": ("Get red agent to blue lm", "Get blue item to red lm"),
+}
+"""A scene in which green does not see the blue item. The item and most of the unseen area lie on
+the left; a room close to green lies above. Walls go up, left, down, right."""
+
+_SIZE: Final = 0.8
+_STEPS: Final = 100
+_STATIONS: Final = 6
+
+
+@in_style
+def search(
+    path: str | os.PathLike[str] | None = None,
+    *,
+    cost_weights: Sequence[float] = (0.0, 0.05),
+    planner: str = "fast",
+    seed: int = 0,
+) -> Figure:
+    """Draw the green agent's search for an item under different weights of path cost.
+
+    There is a panel for each of ``cost_weights``, lambda; the paper's are 0 and 0.05.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
+    """
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.data.generation.situation import walls_of_lengths
+    from phase_ppl.simulator.joint import simulate
+
+    walls = walls_of_lengths(_SEARCH["walls"])
+    scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), walls)
+    hypothesis = Hypothesis(*_SEARCH["goals"])
+    figure = new_figure(
+        *(3.6 * len(cost_weights), 3.9),
+        note="The green agent wants the blue item, which it does not see. Numbers: moments in "
+        "order; arrows: where it looks.",
+    )
+    green = AGENTS.index("green agent")
+    panels = figure.subplots(1, len(cost_weights), squeeze=False)[0]
+    for axes, weight, letter in zip(panels, cost_weights, "ABCDEFGH", strict=False):
+        config = dataclasses.replace(PlannerConfig.named(planner), cost_weight=weight)
+        event = simulate(scene, hypothesis, frames=_STEPS, seed=seed, planner=config)
+        frames = event.observation.trajectory
+        holds = items_held(frames, scene.radius)[:, green] != NOTHING
+        end = int(holds.argmax()) if holds.any() else len(frames) - 1
+        draw_arena(axes, scene)
+        for entity in range(len(ENTITIES)):
+            draw_entity(axes, entity, frames[0, entity], _SIZE)
+        axes.plot(*frames[: end + 1, green, :2].T, color="#00a000", lw=2, zorder=4)
+        for number, frame in enumerate(np.linspace(0, end, _STATIONS).round().astype(int), 1):
+            x, y, angle = frames[frame, green]
+            ahead = np.array([x, y]) + 2 * heading(angle)
+            axes.annotate("", ahead, (x, y), arrowprops={"arrowstyle": "->"}, zorder=4)
+            axes.plot(x, y, "o", ms=10, mfc="white", mec="#00a000", zorder=5)
+            axes.text(x, y, str(number), ha="center", va="center", zorder=6)
+        axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", loc="center")
     return written(figure, path)
