@@ -171,9 +171,9 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert again.returncode == 0, again.stderr
     # 12 before the iteration that was cut off, 3 of it, then the rest, and two rivals a chain
     assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8 + 8
-    again = ppl.load_posterior(tmp_path / "run.nc")
-    assert isinstance(again, ppl.Posterior)
-    assert_same_draws(whole.tree, again.tree)
+    post = ppl.load_posterior(tmp_path / "run.nc")
+    assert isinstance(post, ppl.Posterior)
+    assert_same_draws(whole.tree, post.tree)
 
 
 def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None:
