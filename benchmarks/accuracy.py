@@ -45,9 +45,8 @@ def read(results: ResultsFolder, event: Event) -> dict[str, Any] | None:
         return None
     post = ppl.load_posterior(results.folder_of(event.id) / POSTERIOR)
     assert isinstance(post, ppl.Posterior)
-    columns = [
-        array(post.tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")
-    ]
+    tree = post.tree
+    columns = [array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")]
     pairs = list(zip(*columns, strict=True))
     first = array(tree, "simulations", "iteration") == 0
     truth = true_pair(event)
