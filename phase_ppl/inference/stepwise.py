@@ -35,7 +35,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event, Observation
-from phase_ppl.world.progress import counted, progress_is_shown
+from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
 
@@ -323,22 +323,3 @@ def filtered_frames(
         except KeyboardInterrupt as stop:
             raise StepwiseInterrupted(watching.posterior()) from stop
         return watching.dataset()
-
-
-def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
-    """Yield the frames, and say on stderr how long all of them will take."""
-    if progress is False or progress_is_shown(progress):
-        yield from counted(frames, progress, "frame", "reading")
-        return
-    begun: list[float] = []
-    for index, frame in enumerate(frames):
-        begun.append(time.monotonic())
-        if index == _TIMED:
-            # the median, as whatever is not compiled yet is in the first frames that need it
-            left = float(np.median(np.diff(begun))) * (len(frames) - _TIMED)
-            if left > _LONG:
-                print(
-                    f"reading {len(frames)} more frames takes about {left / 60:.0f} min",
-                    file=sys.stderr,
-                )
-        yield frame
