@@ -383,7 +383,7 @@ class TestQuery:
         questions = ["E strength_red", "P(relation, sign_red)", "P(sign_red=to | relation=neutral)"]
         top = "top 1 (relation | goal_red=get to green agent)"
         questions += ["mode relation", "hdi strength_red", top]
-        said = told(capsys, "query", folder, *questions, "--json", "--weights", "likelihood")
+        said = told(capsys, "query", folder, *questions, "--json", "--weights", "count")
         mean, table, given, mode, interval, most = json.loads(said)
         assert mean == {"question": "E strength_red", "value": 300.0, "error": None}
         assert table["values"] == [

@@ -29,8 +29,8 @@ def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys
     assert told(capsys, "diagnose", folder / "posterior.nc") == printed
     for word in ("accepted", "windows", "log_joint", "goal_red", "scenario", "checks"):
         assert f"\n{word}" in printed
-    said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
-    post = ppl.load_posterior(folder / "posterior.nc", "likelihood")
+    said = told(capsys, "diagnose", folder, "--json", "--weights", "count")
+    post = ppl.load_posterior(folder / "posterior.nc", "count")
     assert json.loads(said) == post.diagnostics()
     assert str(post.diagnostics()).startswith(f"diagnostics  {post.event_id}: ")
 

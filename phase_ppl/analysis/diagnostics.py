@@ -91,8 +91,6 @@ def diagnostics(
     accepted, log_weight = stats["accepted"].values.astype(float), trees.log_weight_of_draws(tree)
     n_chains, n_draws = accepted.shape
     n_frames = tree["observed_data"].sizes["time"]
-    if not np.isfinite(log_weight).any():  # only possible under other weights than the draws' own
-        log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
     weighted = trees.are_weighted(tree)

@@ -60,8 +60,8 @@ class Posterior(EventPosterior):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "stratified" or "likelihood"
-            (``phase_ppl.analysis.weights`` says when each is valid); None: the run's default.
+        weights: "count" or "stratified" (``phase_ppl.analysis.weights`` says when each is valid);
+            None: the run's default.
         burn_in: first draws of each chain that do not count; None: the run's default, a quarter of
             twenty iterations or more, else none. Weights "stratified" ignore it: they use all
             simulations.
@@ -264,8 +264,6 @@ class Posterior(EventPosterior):
         return estimate.Estimate(value, why="a few chains have all the weight: take more")
 
     def under(self, prior: Callable[..., object]) -> Posterior:
-        if self._weights == "likelihood":
-            raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = trees.reweighted(self._tree, self.bound(prior))
         changed = self._under_weights(self._weights, tree)
         sizes = (
@@ -390,8 +388,6 @@ class Posterior(EventPosterior):
     @property
     def arviz(self) -> Any:
         if self._weights == "stratified" or trees.are_weighted(self._counted):
-            return super().arviz
-        if not are_equal(self._rows.weights):  # by their likelihood
             return super().arviz
         return self._as_chains("all of the chains")
 

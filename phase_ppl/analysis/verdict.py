@@ -243,9 +243,6 @@ def of_draws(found: Record) -> dict[str, Any]:
         more = f"take more particles: chains={4 * particles}"
     longer = f"{more}, or {_CLOSED_LOOP}"
     checks = [*_succeeded(found), *_of_tracks(found)]
-    if weights == "likelihood":
-        says = "The weights 'likelihood' make every probability too extreme."
-        checks.append(Check("weights", "fail", weights, "any other", says, 'weights="count"'))
     if found["validity"] == "approximate" and weights != "stratified":
         says = (
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "

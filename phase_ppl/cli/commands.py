@@ -105,7 +105,7 @@ $progress""",
     "too, or all; may be given several times",
     "posterior": """
 FILE: a posterior's .nc file, or the folder of infer
---weights NAME: count, stratified or likelihood; default: the file's""",
+--weights NAME: count or stratified; default: the file's""",
 }
 """Help texts that several commands share."""
 

@@ -66,18 +66,16 @@ def test_efficiency_is_per_simulation() -> None:
     assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
 
 
-@pytest.mark.parametrize("weights", ["count", "likelihood"])
-def test_curve_is_what_a_shorter_run_would_have_said(weights: str) -> None:
+def test_curve_is_what_a_shorter_run_would_have_said() -> None:
     tree = random_tree(2, n_chains=3, n_draws=5)
-    post, wanted = Posterior(tree, weights), marginals(two_goals(5))
+    post, wanted = Posterior(tree), marginals(two_goals(5))
     found = curve(post, wanted, TRUTH)
     assert found["simulations"].tolist() == [6, 9, 12, 15, 18]
-    if weights == "count":
-        apart = 0.0
-        for name in ("goal_red", "goal_green"):
-            codes = tree["posterior"][name].values[:, :2].ravel()
-            apart += np.abs(np.bincount(codes, minlength=36) / 6 - wanted[name]).sum()
-        assert found["tv_goals"][1] == pytest.approx(apart / 4)
+    apart = 0.0
+    for name in ("goal_red", "goal_green"):
+        codes = tree["posterior"][name].values[:, :2].ravel()
+        apart += np.abs(np.bincount(codes, minlength=36) / 6 - wanted[name]).sum()
+    assert found["tv_goals"][1] == pytest.approx(apart / 4)
     frames = tree["simulations"]["frames_simulated"].values
     assert found["frames"].iloc[-1] == frames.sum()
     assert found["frames"][0] == frames[tree["simulations"]["iteration"].values < 2].sum()

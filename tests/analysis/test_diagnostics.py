@@ -158,13 +158,11 @@ def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (15, 6)])
 def test_diagnostics_are_plain_data_and_rates_are_shares(shape: tuple[int, int]) -> None:
-    for weights in ("count", "likelihood"):
-        post = Posterior(random_tree(5, *shape), weights)
-        found = post.diagnostics()
-        assert json.loads(json.dumps(found, allow_nan=False)) == found
-        for name in ("acceptance_rate", "move_rate", "frames_saved_share"):
-            assert found[name] is None or 0 <= found[name] <= 1
-        assert len(found["acceptance_by_iteration"]) == found["iterations"]
+    found = Posterior(random_tree(5, *shape)).diagnostics()
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    for name in ("acceptance_rate", "move_rate", "frames_saved_share"):
+        assert found[name] is None or 0 <= found[name] <= 1
+    assert len(found["acceptance_by_iteration"]) == found["iterations"]
 
 
 def rivals_of(h: Hypothesis) -> list[Hypothesis]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from typing import Any
 
@@ -31,12 +30,11 @@ from .factory import (
 GOAL_SITES = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
 LABELS = dict.fromkeys(GOAL_SITES, GOALS) | {"relation": RELATIONS, "scenario": SCENARIOS}
 LABELS["alpha"] = tuple(map(str, ALPHAS))
-WEIGHTS = ("count", "likelihood")
 
 
-@pytest.fixture(scope="module", params=WEIGHTS)
-def post(request: pytest.FixtureRequest) -> Posterior:
-    return Posterior(random_tree(5, n_chains=6), request.param)
+@pytest.fixture(scope="module")
+def post() -> Posterior:
+    return Posterior(random_tree(5, n_chains=6))
 
 
 @pytest.fixture(scope="module")
@@ -100,16 +98,6 @@ def test_means_intervals_and_entropies(small: Posterior) -> None:
     with pytest.raises(InvalidSettingError, match="at most"):
         small.joint(*LABELS)
     assert small.entropy(*LABELS) > 0, "where a table of the joint would be too large"
-
-
-def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
-    post = Posterior(random_tree(2, n_chains=8), "likelihood")
-    table = post.to_dataframe()
-    low, high = post.hdi("strength_red", 0.6).values
-    assert post.probability(strength_red=(low, high)) >= 0.6 - 1e-9
-    for a, b in itertools.combinations(sorted(table["strength_red"]), 2):
-        if b - a < high - low - 1e-9:
-            assert table["weight"][table["strength_red"].between(a, b)].sum() < 0.6
 
 
 def test_top_goals_come_in_order_and_ties_in_label_order() -> None:

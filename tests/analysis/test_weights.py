@@ -61,45 +61,26 @@ def test_draws_count_alike_unless_the_kernel_gave_them_weights() -> None:
     weightless = with_log_weight(tree, np.full((2, 3), -np.inf))
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         Posterior(weightless, "count")
-    assert Posterior(weightless, "likelihood").diagnostics()["weighted_draws_ess"] is None
 
 
-def test_likelihood_weighs_each_draw_by_its_own_likelihood_of_the_seed_it_had() -> None:
-    simulations = [
-        Simulation(A, 1, log_likelihood=LOG(0.9)),
-        Simulation(A, 2, log_likelihood=LOG(0.3)),
-        Simulation(B, 3, log_likelihood=LOG(0.1)),
-    ]
-    post = Posterior(make_tree(simulations, [[1, 2, 2]]), "likelihood")
-    # 0.3 against 0.1 + 0.1
-    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4})
-    array(post.tree, "sample_stats", "sim_seed")[0, 1] = 77
-    with pytest.raises(InvalidEventError, match="draw 1 of chain 0 rests on no completed"):
-        Posterior(post.tree, "likelihood")
-
-
-@pytest.mark.parametrize("weights", ["stratified", "likelihood"])
-def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str) -> None:
+def test_weights_survive_log_densities_far_below_the_smallest_float() -> None:
     simulations = [
         Simulation(A, 1, -5000.0, -90000.0),
         Simulation(B, 2, -5000.0, -90000.0 + LOG(3), iteration=1),
     ]
     tree = with_prior(with_densities(make_tree(simulations, [[0, 1]]), 0.0), [(A, 0.5)])
-    shares = np.array([0.25, 0.75])
-    of_a, of_b = shares if weights == "likelihood" else truncated(shares)
-    found = goal_probabilities(Posterior(tree, weights))
+    of_a, of_b = truncated(np.array([0.25, 0.75]))
+    found = goal_probabilities(Posterior(tree, "stratified"))
     assert found == pytest.approx({BLUE_TO_RED: of_a, PINK_TO_BLUE: of_b})
 
 
 def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_close_one() -> None:
     simulations = [Simulation(A, 1, 0.0, LOG(0.9)), Simulation(B, 2, 0.0, LOG(0.1))]
-    tree = make_tree(simulations, [[0, 1]], weights="likelihood")
-    assert Posterior(tree).weights == "likelihood"
-    assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
-    with pytest.raises(UnknownNameError, match="'likelihood'"):
-        Posterior(tree, "likelihod")
+    tree = make_tree(simulations, [[0, 1]], weights="stratified")
     tree = with_prior(with_densities(tree, 0.0), [(A, 0.5), (B, 0.5)])
-    assert Posterior(tree, "stratified").weights == "stratified"
+    assert Posterior(tree).weights == "stratified"
+    with pytest.raises(UnknownNameError, match="'stratified'"):
+        Posterior(tree, "stratifed")
 
 
 def test_weights_that_cannot_be_normalised_are_refused() -> None:
