@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from typing import Any
 
@@ -25,6 +26,7 @@ from .factory import (
     make_tree,
     posterior_of,
     random_tree,
+    with_log_weight,
 )
 
 GOAL_SITES = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
@@ -98,6 +100,18 @@ def test_means_intervals_and_entropies(small: Posterior) -> None:
     with pytest.raises(InvalidSettingError, match="at most"):
         small.joint(*LABELS)
     assert small.entropy(*LABELS) > 0, "where a table of the joint would be too large"
+
+
+def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
+    tree = random_tree(2, n_chains=8)
+    shape = tree["posterior"]["goal_red"].shape
+    post = Posterior(with_log_weight(tree, np.random.default_rng(0).normal(0, 2, shape)))
+    table = post.to_dataframe()
+    low, high = post.hdi("strength_red", 0.6).values
+    assert post.probability(strength_red=(low, high)) >= 0.6 - 1e-9
+    for a, b in itertools.combinations(sorted(table["strength_red"]), 2):
+        if b - a < high - low - 1e-9:
+            assert table["weight"][table["strength_red"].between(a, b)].sum() < 0.6
 
 
 def test_top_goals_come_in_order_and_ties_in_label_order() -> None:
