@@ -66,7 +66,6 @@ LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 """Share of the chains that is left out at a time to see how ends of intervals vary."""
 
 MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
-_LISTED: Final = 5  # labels that a message names at most, the most probable first
 
 SURE: Final = 1.64
 """Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
@@ -400,7 +399,7 @@ class Hypotheses(Printed):
         for one in queries:
             given = one.given
             if given is not None and not self._satisfied(given) @ self._rows.weights > 0:
-                reason = f"cannot condition on this: {self._why_impossible(given)}"
+                reason = f"cannot condition on this: {self._impossible}"
                 raise QueryError(reason, question, one.given_at)
         if len(queries) > 1:
             return self._ratio(queries, question)
@@ -487,25 +486,11 @@ class Hypotheses(Printed):
         clauses = (_clause(self._quantity(name), value) for name, value in wanted.items())
         return Conditions(str(wanted), tuple(clauses))
 
-    def _why_impossible(self, given: Conditions) -> str:
-        """Return why nothing can be conditioned on ``given``, and what could be instead."""
-        is_sampled, weights = not math.isnan(self._effective_size), self._rows.weights
-        why = "no draw of this posterior has it" if is_sampled else "its probability here is 0"
-        for holds, name, *_ in given.clauses:
-            if weights[holds(self._rows.values)].sum() > 0:
-                continue
-            if name is None:  # several are compared
-                return why
-            quantity, values = self._quantity(name), self._rows.values[name]
-            if quantity.labels is None:
-                possible = values[weights > 0]
-                return f"{why}, where {name} is between {possible.min():g} and {possible.max():g}"
-            mass = np.bincount(values, weights, len(quantity.labels))
-            likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
-            listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
-            more = len(likely) - _LISTED
-            return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
-        return f"{why}, though each of these alone is possible"
+    @property
+    def _impossible(self) -> str:
+        """Why nothing can be conditioned on what has no mass."""
+        is_sampled = not math.isnan(self._effective_size)
+        return "no draw of this posterior has it" if is_sampled else "its probability here is 0"
 
     def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
         """Return what errors come from; ``share`` is that of the chains that are left out."""
@@ -583,9 +568,7 @@ class Hypotheses(Printed):
         weights = self._rows.weights[rows]
         total = weights.sum()
         if not total > 0:
-            raise InvalidSettingError(
-                f"cannot condition on {said.text}: {self._why_impossible(said)}"
-            )
+            raise InvalidSettingError(f"cannot condition on {said.text}: {self._impossible}")
         without = self._jackknife(share) if self._has_error(rows, *asked) else None
         return rows, weights / total, None if without is None else without.only(rows)
 

@@ -174,16 +174,8 @@ UNKNOWN: dict[str, Any] = {
     "goal_green": lambda post: post.top("gaol_green"),
 }
 TO_RED_AT_ALL, IN_A_GAP = {"goal_red": TO_RED}, {"strength_red": (500, 550)}
-BOTH = {"goal_red": TO_GREEN, "relation": "friendly"}
 IMPOSSIBLE: dict[str, Any] = {
     "no draw of this posterior": lambda post: post.probability(TO_RED_AT_ALL, relation="friendly"),
-    "where goal_red is 'Get blue item to red lm', 'get to green agent'$": (
-        lambda post: post.marginal("relation", given=TO_RED_AT_ALL)
-    ),
-    "where strength_red is between 200 and 600$": (
-        lambda post: post.marginal("relation", given=IN_A_GAP)
-    ),
-    "though each of these alone is possible$": lambda post: post.mean("strength_red", given=BOTH),
     "500": lambda post: post.probability(IN_A_GAP, relation="friendly"),
     "name the event": lambda post: post.probability(),
     "interval": lambda post: post.probability(strength_red=300),

@@ -149,7 +149,10 @@ WRONG = {
     "P(same_goal=1 or (strength_red > 3))": (12, "unknown same_goal '1'"),
     "P(not (strength_red > 3)": (24, "',' or '|' or ')'"),
     "P(not)": (5, "the name of a quantity"),
-    "P(relation=friendly | strength_red > strength_green, strength_red < 250)": (22, "alone"),
+    "P(relation=friendly | strength_red > strength_green, strength_red < 250)": (
+        22,
+        "no draw of this",
+    ),
     "P(relation=friendly given alpha=(1,0))": (20, "write '|' in place of 'given'"),
     "P(relation given alpha=(1,0))": (11, "write '|' in place of 'given'"),
     "E[strength_red given relation=friendly]": (15, "write '|' in place of 'given'"),
