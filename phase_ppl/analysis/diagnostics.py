@@ -1,4 +1,4 @@
-"""Diagnostics of chains, and frames that are impossible in this world."""
+"""Diagnostics of chains."""
 
 from __future__ import annotations
 
@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.estimate import kish_size, total_variation
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
+from phase_ppl.analysis.verdict import ALONE, of_draws, of_tracks, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
-from phase_ppl.data.motion import odd_pace
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.picture import Printed, plain, wrapped
-from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 
 
@@ -78,7 +75,7 @@ def diagnostics(
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``n_frames``, ``overlapping_frames``, ``odd_pace``, ``unseen_frames``, ``sealed_agents``: see
-      :func:`of_tracks`.
+      :func:`phase_ppl.analysis.verdict.of_tracks`.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
 
@@ -285,53 +282,6 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
         "first_failure": simulations.attrs.get(trees.FIRST_FAILURE, ""),
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
-    }
-
-
-_SHRUNK: Final = 0.8
-"""Overlap, as a share of their size, at which bodies count as overlapping: in contact they press
-into each other a little."""
-
-
-def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
-    """Return the frames in which bodies overlap each other or a wall."""
-    radius, walls, n_agents = scene.radius, scene.walls, len(scene.world.agents)
-    small = _SHRUNK * radius
-    near = np.full(len(trajectory), len(walls) > 0)
-    for one, other in itertools.combinations(range(trajectory.shape[1]), 2):
-        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
-        # an agent reaches 3 radii from its origin at most
-        near |= apart < 3 * (radius[one] + radius[other])
-    frames = np.flatnonzero(near).tolist()
-    return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
-
-
-def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, Any]:
-    """Return what diagnostics have of the trajectories themselves.
-
-    Keys: ``n_frames``; ``unseen_frames``, in which each entity, or an agent's angle, was not seen,
-    of those that were not at times; and ``sealed_agents``, who start in a room without a door.
-    What the joint simulator alone cannot do: ``overlapping_frames``, in which bodies overlap each
-    other or a wall, else none; and ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else
-    "".
-    """
-    rooms, agents = scene.rooms, scene.world.agents
-    starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
-    gone = dict(zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True))
-    turned = zip(agents, np.isnan(trajectory[..., 2]).T, strict=False)  # items' angles say nothing
-    gone |= {f"{name}'s angle": unseen & ~gone[name] for name, unseen in turned}
-    return {
-        "n_frames": len(trajectory),
-        "overlapping_frames": overlapping_frames(trajectory, scene) if joint else [],
-        "odd_pace": odd_pace(trajectory, scene) if joint else "",
-        "sealed_agents": [
-            name
-            for name, room in zip(agents, starts, strict=True)
-            if len(rooms) > 1 and not rooms.exits(room)
-        ],
-        "unseen_frames": {
-            name: np.flatnonzero(unseen).tolist() for name, unseen in gone.items() if unseen.any()
-        },
     }
 
 

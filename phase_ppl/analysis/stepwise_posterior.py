@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
 from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
@@ -22,7 +21,7 @@ from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.query import Definition
 from phase_ppl.analysis.stepwise_table import Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
-from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
+from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading, of_tracks
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.models.prior_masses import MOST_HYPOTHESES
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -316,7 +315,7 @@ class StepwisePosterior(EventPosterior):
         ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
         ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
         ``unexplained_frames``, which no action explains; what
-        :func:`phase_ppl.analysis.diagnostics.of_tracks` says; and ``trust``, ``answer``,
+        :func:`phase_ppl.analysis.verdict.of_tracks` says; and ``trust``, ``answer``,
         ``checks``, ``next`` and ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
