@@ -289,7 +289,7 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
 
 _SCALARS: Final = {"r_hat": "R-hat", "ess_bulk": "bulk ESS", "ess_tail": "tail ESS"}
 _CATEGORIES: Final = {
-    **{"probability": "P", "share": "draws", "mcse": "MCSE"},
+    **{"probability": "P", "share": "share", "mcse": "MCSE"},
     **{"ess": "ESS", "r_hat": "R-hat"},
 }
 """Columns of the tables -> their headings."""
@@ -341,9 +341,9 @@ class Diagnostics(Printed, dict[str, Any]):
             if apart is not None:
                 lines += wrapped(
                     name,
-                    f"the same goal leads in {self['agreement'][name]:.0%} of the particles; two "
-                    f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
-                    "(total variation)",
+                    f"the same goal leads in {self['agreement'][name]:.0%} of the particles; total "
+                    f"variation between two of them {apart['mean']:.2f} on average, "
+                    f"{apart['max']:.2f} at most",
                 )
         return "\n".join([*lines, "", *verdict_lines(self)])
 
