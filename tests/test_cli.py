@@ -189,7 +189,7 @@ def test_compare_takes_presets_beside_kernels(
         *("as_printed", "local_mh"),
         {"rule": "paper"},
     )
-    assert printed.own == {"planner": "as_printed", "weights": "count", "iterations": 6}
+    assert printed.own == {"planner": "as_printed", "iterations": 6}
     assert (other.kernel, other.chains, other.own) == ("prior_mh", 7, {})
 
 
