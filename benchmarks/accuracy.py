@@ -43,7 +43,9 @@ def read(results: ResultsFolder, event: Event) -> dict[str, Any] | None:
     prediction = results.prediction(event.id)
     if prediction is None:
         return None
-    tree = ppl.Posterior.load(results.folder_of(event.id) / POSTERIOR).tree
+    post = ppl.load_posterior(results.folder_of(event.id) / POSTERIOR)
+    assert isinstance(post, ppl.Posterior)
+    tree = post.tree
     columns = [array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")]
     pairs = list(zip(*columns, strict=True))
     first = array(tree, "simulations", "iteration") == 0

@@ -292,10 +292,10 @@ def work(name: str, folder: Path) -> Any:
         cells = {"chasing": 3, "independent:LMA+LMA": 1}
         options = {"planner": planner, "frames": 34, "workers": 1, "max_tries": 3, **QUIET}
         return ppl.generate(folder / "set", cells=cells, resume=True, **options).entries
-    options = {"chains": 4, "repeats": 3, "reference": "single_site_mh", "workers": 1, **QUIET}
+    options = {"chains": 4, "repeats": 3, "reference": "none", "workers": 1, **QUIET}
     options |= {"budget": ppl.simulations(16), "checkpoint": folder / "kept.json"}
     found = ppl.compare(EVENT, model, kernels=["prior_mh"], **options)
-    return found.runs[["kernel", "seed", "tv_goals", "moves", "simulations"]].to_dict("list")
+    return found.runs[["kernel", "seed", "p_goals", "moves", "simulations"]].to_dict("list")
 
 
 def killed(n: int, seed: int) -> list[list[Any]]:

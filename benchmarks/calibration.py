@@ -89,7 +89,8 @@ def reweighed(out: Path, weights: list[float]) -> pd.DataFrame:
     rows = []
     for event in ppl.load_events(out / "events.json"):
         (folder,) = (out / "events").glob(f"*-{event.id}")
-        post = StepwisePosterior.load(folder / "posterior.nc")
+        post = ppl.load_posterior(folder / "posterior.nc")
+        assert isinstance(post, StepwisePosterior)
         answers = true_answers(event)
         for weight in weights:
             anew = StepwisePosterior(post.dataset.assign_attrs(weight=weight), prior=post.prior)

@@ -35,7 +35,7 @@ CHAINS = 100
 POPULATION_STEPS = 9
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "local_mh (paper)": ("local_mh", {"rule": "paper"}),
-    "enumerate": ("enumerate", {"noise_seeds": 30}),
+    "enumerate": ("enumerate", {}),
 }
 
 
@@ -90,7 +90,7 @@ def size(kernel: Any, info: KernelInfo, simulations: int) -> tuple[int, int]:
     if info.keeps == "last":
         return simulations // (POPULATION_STEPS + 1), POPULATION_STEPS
     per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
-    left = simulations - CHAINS * getattr(kernel, "sims_at_start", 1)
+    left = simulations - CHAINS
     return CHAINS, max(3, left // (CHAINS * per_step))
 
 

@@ -64,7 +64,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         "wall [[16.0, 12.0], [16.0, 12.0]] has no length",
     ),
     "figure": (lambda: ppl.plot.posterior(None), "posterior of None, expected a phase_ppl.Post"),
-    "figure of another": (lambda: ppl.plot.chains(EVENT), "chains of"),
+    "figure of another": (lambda: ppl.plot.errors(EVENT), "errors of"),
     "estimate": (lambda: ppl.Estimate("x", "y"), "Estimate('x', 'y'), expected a number"),
 }
 

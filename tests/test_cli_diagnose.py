@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from tests.analysis.factory import random_tree, tree_by_frame
 from tests.test_cli import Capture, fails, told
@@ -26,10 +27,10 @@ def folder(tmp_path: Path) -> Path:
 def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys: Capture) -> None:
     printed = told(capsys, "diagnose", folder)
     assert told(capsys, "diagnose", folder / "posterior.nc") == printed
-    for word in ("accepted", "windows", "log joint", "goal red", "scenario", "checks"):
+    for word in ("accepted", "windows", "log_joint", "goal_red", "scenario", "checks"):
         assert f"\n{word}" in printed
-    said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
-    post = Posterior.load(folder / "posterior.nc", "likelihood")
+    said = told(capsys, "diagnose", folder, "--json", "--weights", "count")
+    post = ppl.load_posterior(folder / "posterior.nc", "count")
     assert json.loads(said) == post.diagnostics()
     assert str(post.diagnostics()).startswith(f"diagnostics  {post.event_id}: ")
 
@@ -47,10 +48,10 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics(tmp_path: Path, capsy
     found = post.diagnostics()
     rows = told(capsys, "diagnose", post.save(tmp_path / "post.nc")).splitlines()
     one = found["scalars"]["log_joint"]
-    row = next(row for row in rows if row.startswith("log joint")).split()[2:]
+    row = next(row for row in rows if row.startswith("log_joint")).split()[1:]
     assert row == [f"{one['r_hat']:.2f}", f"{one['ess_bulk']:.0f}", f"{one['ess_tail']:.0f}"]
     label, entry = next(iter(found["categories"]["goal_red"].items()))
-    row = next(row for row in rows if row.startswith("goal red"))
+    row = next(row for row in rows if row.startswith("goal_red"))
     assert label in row
     numbers = [entry[name] for name in ("probability", "share", "mcse", "ess", "r_hat")]
     np.testing.assert_allclose([float(x) for x in row.split()[-5:]], numbers, atol=0.5)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.estimate import shares, total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.quantities import vocabulary_of
+from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.tree import SIMULATED, array, space_of_tree
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.analysis.with_arviz import ess
@@ -73,8 +73,8 @@ class Comparison(Printed):
         curve: the accuracy of every run by number of simulations: ``kernel``, ``repeat``,
             ``simulations``, and the measures of accuracy.
         settings: all that determines the result: event, model, kernels with their options,
-            budget, chains, seed, weights, and ``reference``: its ``description``, ``marginals``,
-            its own ``error`` and its probabilities of the truth (``truth``).
+            budget, chains, seed, and ``reference``: its ``description``, ``marginals``, its own
+            ``error`` and its probabilities of the truth (``truth``).
     """
 
     runs: pd.DataFrame
@@ -171,15 +171,13 @@ class Comparison(Printed):
         table, settings = self.table, self.settings
         unit = settings["budget"].rpartition(" ")[2]
         others = " and ".join(o for o in ("simulations", "frames", "seconds") if o != unit)
-        lengths = {name: settings["kernels"][name].get("length", {}) for name in self.kernels}
-        own = " and ".join(
-            f"{name}, which has {length.get('budget') or length['iterations'] + ' iterations'}"
-            for name, length in lengths.items()
-            if length  # of its own, as presets have
+        lengths = {name: settings["kernels"][name].get("iterations") for name in self.kernels}
+        own = " and ".join(  # as presets have
+            f"{name}, which has {length} iterations" for name, length in lengths.items() if length
         )
         words = (
-            f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
-            f"weights {settings['weights']}; mean ± standard error\n"
+            f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains; "
+            "mean ± standard error\n"
             f"each run spends the budget of {unit} and ends its last iteration; {others} differ"
             f"{own and f'{chr(10)}other lengths: {own}'}\n"
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
@@ -189,7 +187,7 @@ class Comparison(Printed):
             for name, heading in MEASURES.items()
             if np.isfinite(table[name, "mean"].to_numpy(float)).any()
         }
-        proposals = settings.get("proposals", {})
+        proposals = settings["proposals"]
         if any(proposals.values()):
             columns = {"proposals": [proposals.get(k) or "-" for k in table.index], **columns}
         cells = pd.DataFrame(columns, index=list(table.index))
@@ -230,10 +228,9 @@ class Comparison(Printed):
 
 
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    later = ("draws", "r_hat", "ess_per_second")  # not in files of earlier versions
-    if missing := [name for name in expected if name not in columns and name not in later]:
+    if missing := [name for name in expected if name not in columns]:
         raise ValueError(f"it lacks {missing}")
-    frame = pd.DataFrame(columns).reindex(columns=list(expected))
+    frame = pd.DataFrame(columns)[list(expected)]
     numbers = [name for name in expected if name not in ("kernel", "validity")]
     return frame.astype({n: int if n in ("repeat", "seed") else float for n in numbers})
 
@@ -405,7 +402,7 @@ def _of_first(
     if post.weights != "count":
         tree = tree.isel(simulation=np.flatnonzero(done))
     rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
-    codes, weights = vocabulary_of(space_of_tree(tree)).completed(rows.values), rows.weights
+    codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
     found = {
         name: shares(codes[name], weights, len(post.quantities[name] or ()))
         for name in marginals_of(post)

@@ -1,10 +1,10 @@
-"""Diagnostics of chains, and frames that are impossible in this world."""
+"""Diagnostics of chains."""
 
 from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.estimate import kish_size, total_variation
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
+from phase_ppl.analysis.verdict import ALONE, of_draws, of_tracks, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
-from phase_ppl.data.motion import odd_pace
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import PredicateKind
-from phase_ppl.world.picture import LABEL, Printed, plain, wrapped
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.picture import Printed, plain, wrapped
 from phase_ppl.world.space import HypothesisSpace
 
 
@@ -78,7 +75,7 @@ def diagnostics(
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``n_frames``, ``overlapping_frames``, ``odd_pace``, ``unseen_frames``, ``sealed_agents``: see
-      :func:`of_tracks`.
+      :func:`phase_ppl.analysis.verdict.of_tracks`.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
 
@@ -91,8 +88,6 @@ def diagnostics(
     accepted, log_weight = stats["accepted"].values.astype(float), trees.log_weight_of_draws(tree)
     n_chains, n_draws = accepted.shape
     n_frames = tree["observed_data"].sizes["time"]
-    if not np.isfinite(log_weight).any():  # only possible under other weights than the draws' own
-        log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
     weighted = trees.are_weighted(tree)
@@ -290,56 +285,15 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
     }
 
 
-_SHRUNK: Final = 0.8
-"""Overlap, as a share of their size, at which bodies count as overlapping: in contact they press
-into each other a little."""
-
-
-def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
-    """Return the frames in which bodies overlap each other or a wall."""
-    radius, walls, n_agents = scene.radius, scene.walls, len(scene.world.agents)
-    small = _SHRUNK * radius
-    near = np.full(len(trajectory), len(walls) > 0)
-    for one, other in itertools.combinations(range(trajectory.shape[1]), 2):
-        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
-        # an agent reaches 3 radii from its origin at most
-        near |= apart < 3 * (radius[one] + radius[other])
-    frames = np.flatnonzero(near).tolist()
-    return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
-
-
-def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, Any]:
-    """Return what diagnostics have of the trajectories themselves.
-
-    Keys: ``n_frames``; ``unseen_frames``, in which each entity, or an agent's angle, was not seen,
-    of those that were not at times; and ``sealed_agents``, who start in a room without a door.
-    What the joint simulator alone cannot do: ``overlapping_frames``, in which bodies overlap each
-    other or a wall, else none; and ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else
-    "".
-    """
-    rooms, agents = scene.rooms, scene.world.agents
-    starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
-    gone = dict(zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True))
-    turned = zip(agents, np.isnan(trajectory[..., 2]).T, strict=False)  # items' angles say nothing
-    gone |= {f"{name}'s angle": unseen & ~gone[name] for name, unseen in turned}
-    return {
-        "n_frames": len(trajectory),
-        "overlapping_frames": overlapping_frames(trajectory, scene) if joint else [],
-        "odd_pace": odd_pace(trajectory, scene) if joint else "",
-        "sealed_agents": [
-            name
-            for name, room in zip(agents, starts, strict=True)
-            if len(rooms) > 1 and not rooms.exits(room)
-        ],
-        "unseen_frames": {
-            name: np.flatnonzero(unseen).tolist() for name, unseen in gone.items() if unseen.any()
-        },
-    }
-
-
 # --- as a table -----------------------------------------------------------------------------------
 
-_NAME: Final = 38  # columns of a name, beside the label before it
+_SCALARS: Final = {"r_hat": "R-hat", "ess_bulk": "bulk ESS", "ess_tail": "tail ESS"}
+_CATEGORIES: Final = {
+    **{"probability": "P", "share": "share", "mcse": "MCSE"},
+    **{"ess": "ESS", "r_hat": "R-hat"},
+}
+"""Columns of the tables -> their headings."""
+
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
 
 
@@ -376,32 +330,31 @@ class Diagnostics(Printed, dict[str, Any]):
             f"{self['best_error_per_frame']:.2f} units per frame from the observation",
         }
         lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
-        lines += ["", _row("", ("R-hat", "bulk ESS", "tail ESS"), 12)]
-        for name, entry in self["scalars"].items():
-            sizes = [_number(entry[f"ess_{of}"], 0) for of in ("bulk", "tail")]
-            lines.append(_row(name.replace("_", " "), [_number(entry["r_hat"]), *sizes], 12))
-        lines += ["", _row("", ("P", "share", "MCSE", "ESS", "R-hat"), 7)]
-        for name, categories in self["categories"].items():
-            label = name.replace("_", " ")
-            for category, entry in categories.items():
-                cells = [_number(entry[column]) for column in ("probability", "share", "mcse")]
-                cells += [_number(entry["ess"], 0), _number(entry["r_hat"])]
-                lines.append(_row(f"{label:<{LABEL}}{category}", cells, 7))
-                label = ""
-            if (apart := self["between_chain_tv"].get(name)) is not None:
+        lines += ["", _table(self["scalars"], _SCALARS), ""]
+        by_label = {
+            (name, label): entry
+            for name, labels in self["categories"].items()
+            for label, entry in labels.items()
+        }
+        lines += [_table(by_label, _CATEGORIES), ""]
+        for name, apart in self["between_chain_tv"].items():
+            if apart is not None:
                 lines += wrapped(
-                    "",
+                    name,
                     f"the same goal leads in {self['agreement'][name]:.0%} of the particles; total "
                     f"variation between two of them {apart['mean']:.2f} on average, "
                     f"{apart['max']:.2f} at most",
                 )
-            lines.append("")
-        return "\n".join([*lines, *verdict_lines(self)])
+        return "\n".join([*lines, "", *verdict_lines(self)])
 
 
-def _row(label: str, cells: Iterable[str], width: int) -> str:
-    room = LABEL + _NAME
-    return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
+def _table(rows: Mapping[Any, Mapping[str, float | None]], columns: Mapping[str, str]) -> str:
+    """Return rows as a table; "-": not known."""
+    found = pd.DataFrame.from_dict(rows, orient="index")[list(columns)].astype(float)
+    for name in columns:
+        form = "{:.0f}" if name.startswith("ess") else "{:.2f}"
+        found[name] = [form.format(x) if np.isfinite(x) else "-" for x in found[name]]
+    return found.rename(columns=columns).to_string()
 
 
 def _of_windows(windows: Mapping[str, Any]) -> str:
@@ -414,7 +367,3 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
         text += f" of {windows['frames']} frames"
     text += f", half of which begin in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

@@ -14,12 +14,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.answers import answers
-from phase_ppl.analysis.definitions import defined
 from phase_ppl.analysis.estimate import Estimate, kish_size, shares
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses, with_errors
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
-from phase_ppl.analysis.query import conditions
+from phase_ppl.analysis.query import conditions, defined
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
 from phase_ppl.analysis.verdict import as_html, verdict_lines
 from phase_ppl.analysis.weights import Rows
@@ -30,7 +28,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.picture import plain, preformatted, wrapped
+from phase_ppl.world.picture import bars, plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -391,15 +389,14 @@ class EventPosterior(Hypotheses):
             values: of that argument.
 
         Returns:
-            The answers along ``value``, with their ``error``. NaN: too little was simulated for
-            that prior; the attribute ``refused`` lists the reasons, one per line.
+            The answers along ``value``, with their ``error``.
 
         Example:
             ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
             ``def related(p): ...`` that samples ``alpha`` and the rest.
 
         Raises:
-            InvalidSettingError: there is no answer for any value, or the answer is no number.
+            InvalidSettingError: too little was simulated for a prior, or the answer is no number.
             QueryError: as of :meth:`query`.
         """
         if not callable(prior):
@@ -412,15 +409,9 @@ class EventPosterior(Hypotheses):
             raise InvalidSettingError("values is empty: expected numbers")
         # the check is slow, and one value is enough
         self._checked(functools.partial(prior, at[0]))
-        answers: list[xr.DataArray | None] = []
-        refusals: list[str] = []
+        answers = []
         for value in at:
-            try:
-                answer = self.under(functools.partial(prior, value)).query(question)
-            except InvalidSettingError as error:
-                answers.append(None)
-                refusals.append(f"{value:g}: {error}")
-                continue
+            answer = self.under(functools.partial(prior, value)).query(question)
             if isinstance(answer, Estimate):
                 answer = xr.DataArray(float(answer), {"error": answer.error})
             if not isinstance(answer, xr.DataArray):
@@ -429,20 +420,8 @@ class EventPosterior(Hypotheses):
                     "expected a question with numbers as answer, such as P(relation)"
                 )
             answers.append(answer)
-        known = next((answer for answer in answers if answer is not None), None)
-        if known is None:
-            raise InvalidSettingError(
-                f"no value of the prior's argument can be answered for: {refusals[0]}"
-            )
-        nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-        filled = [nothing if answer is None else answer for answer in answers]
-        return (
-            xr.concat(filled, "value", join="override")
-            .assign_coords(value=at)
-            .assign_attrs(
-                question=question, prior=qualified_name(prior), refused="\n".join(refusals)
-            )
-        )
+        found = xr.concat(answers, "value", join="override").assign_coords(value=at)
+        return found.assign_attrs(question=question, prior=qualified_name(prior))
 
     def do(
         self,
@@ -509,3 +488,56 @@ class EventPosterior(Hypotheses):
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)
+
+
+# --- what a table of hypotheses says, all at once -------------------------------------------------
+
+
+def answers(of: Hypotheses) -> dict[str, Any]:
+    """Return ``goals``, relations, scenario and ``strengths``, and the ``errors`` of each."""
+    goals = {agent: dict(with_errors(of.marginal(name))) for agent, name in of.goals_of.items()}
+    found: dict[str, Any] = {"goals": goals}
+    for name in (*of.relations_of.values(), *of.scenarios_of.values()):
+        found[name] = dict(with_errors(of.marginal(name)))
+    found["strengths"] = {}
+    for agent, name in of.strengths_of.items():
+        (_, low), (_, high) = with_errors(of.hdi(name))
+        numbers = {"mean": of.mean(name), "sd": of.sd(name)}
+        found["strengths"][agent] = {**numbers, "hdi_low": low, "hdi_high": high}
+    return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
+
+
+def answer_lines(
+    of: Hypotheses,
+    untried: Callable[[str], frozenset[str]] = lambda name: frozenset(),
+    levels: Sequence[float] = (),
+) -> list[str]:
+    """Return the lines of a table about goals, relations, scenario and strengths.
+
+    ``untried`` returns the labels of a quantity that nothing was simulated for. ``levels`` are the
+    only strengths that there are, newtons; none: any.
+    """
+    lines: list[str] = []
+    for agent, name in of.goals_of.items():
+        lines += bars(agent, [entry for entry in of.top(name, 3) if entry[1] > 0])
+    for label, name in (*of.relations_of.items(), *of.scenarios_of.items()):
+        without = untried(name)
+        lines += bars(label, [(one, None if one in without else p) for one, p in of.top(name, 4)])
+    for place, (agent, name) in enumerate(of.strengths_of.items()):
+        if levels:
+            events: list[dict[str, Any]] = [{name: (level, level)} for level in levels]
+            shares = [of.probability(**event) for event in events]
+            text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
+        else:
+            low, high = of.hdi(name).values
+            text = f"{of.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
+        lines += wrapped("" if place else "strength", f"{agent}: {text}")
+    return lines
+
+
+def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:
+    """Return a part of every estimate in nested dictionaries."""
+    return {
+        name: _of_each(one, part) if isinstance(one, dict) else part(one)
+        for name, one in found.items()
+    }

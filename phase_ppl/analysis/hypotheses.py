@@ -9,7 +9,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,17 @@ from phase_ppl.analysis.estimate import (
     with_unseen,
 )
 from phase_ppl.analysis.quantities import Quantity, relations_of
-from phase_ppl.analysis.query import Clause, Conditions, Query, conditions, understood
+from phase_ppl.analysis.query import (
+    Clause,
+    Conditions,
+    Definition,
+    Query,
+    check_new_name,
+    conditions,
+    defined,
+    read_definitions,
+    understood,
+)
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import hdi, n_equal
 from phase_ppl.world.arrays import FloatArray
@@ -41,9 +51,6 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.space import HypothesisSpace
-
-if TYPE_CHECKING:
-    from phase_ppl.analysis.definitions import Definition
 
 Statistic: TypeAlias = Callable[[NDArray[Any], FloatArray], FloatArray]
 """Of values (row,) and weights (..., row)."""
@@ -59,7 +66,6 @@ LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 """Share of the chains that is left out at a time to see how ends of intervals vary."""
 
 MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
-_LISTED: Final = 5  # labels that a message names at most, the most probable first
 
 SURE: Final = 1.64
 """Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
@@ -111,13 +117,13 @@ class Hypotheses(Printed):
         Args:
             name: of the quantity. One that was defined before may be defined anew.
             definition: conditions in words (:mod:`phase_ppl.analysis.query`), which hold or do
-                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.definitions.Named`),
+                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.query.Named`),
                 which returns a truth value, a whole number or a string, for a quantity with
                 categories (of which those of numbers have means too), or a real number. It is
                 called at once, once per distinct hypothesis.
 
         Words are saved along with the posterior; define functions, and what is defined by them,
-        again after :meth:`Posterior.load`.
+        again after loading.
 
         Example:
             ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
@@ -128,8 +134,6 @@ class Hypotheses(Printed):
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
-        from phase_ppl.analysis.definitions import check_new_name, defined
-
         check_new_name(name, self._quantities.keys() - self._defined.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = defined(name, definition, others, self._rows.values)
@@ -148,8 +152,6 @@ class Hypotheses(Printed):
             InvalidEventError: there is no such file, or it has a line of another form.
             QueryError, InvalidSettingError: as of :meth:`define`.
         """
-        from phase_ppl.analysis.definitions import read_definitions
-
         return self._defining(read_definitions(path))
 
     @property
@@ -376,13 +378,8 @@ class Hypotheses(Printed):
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(bounds, coords, dims="bound", name=name)
 
-    def query(self, question: str, *, weights: str | None = None) -> Any:
+    def query(self, question: str) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
-
-        Args:
-            question: in words.
-            weights: of draws, instead of those in use (:mod:`phase_ppl.analysis.weights`); for
-                posteriors that were sampled.
 
         :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
         asks the same: P(conditions) of :meth:`probability`, P(name) of :meth:`marginal`, P(name,
@@ -396,15 +393,13 @@ class Hypotheses(Printed):
                 does not have, or conditions on what has probability 0; the message points at
                 the place.
         """
-        if weights is not None:
-            return self._under_weights(weights).query(question)
         if (of := self._knowing(given=question)) is not self:
             return of.query(question)
         queries = understood(question, self._quantities)
         for one in queries:
             given = one.given
             if given is not None and not self._satisfied(given) @ self._rows.weights > 0:
-                reason = f"cannot condition on this: {self._why_impossible(given)}"
+                reason = f"cannot condition on this: {self._impossible}"
                 raise QueryError(reason, question, one.given_at)
         if len(queries) > 1:
             return self._ratio(queries, question)
@@ -451,9 +446,6 @@ class Hypotheses(Printed):
             shared = float(without.error(replicates[0] / replicates[1], float(one / other)))
         return estimate.ratio(one, other, (own[0], own[1], shared))
 
-    def _under_weights(self, weights: str) -> Hypotheses:
-        raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
-
     def to_dataframe(self) -> pd.DataFrame:
         """Return one row per draw, simulation or hypothesis: labels, numbers, ``weight``.
 
@@ -494,25 +486,11 @@ class Hypotheses(Printed):
         clauses = (_clause(self._quantity(name), value) for name, value in wanted.items())
         return Conditions(str(wanted), tuple(clauses))
 
-    def _why_impossible(self, given: Conditions) -> str:
-        """Return why nothing can be conditioned on ``given``, and what could be instead."""
-        is_sampled, weights = not math.isnan(self._effective_size), self._rows.weights
-        why = "no draw of this posterior has it" if is_sampled else "its probability here is 0"
-        for holds, name, *_ in given.clauses:
-            if weights[holds(self._rows.values)].sum() > 0:
-                continue
-            if name is None:  # several are compared
-                return why
-            quantity, values = self._quantity(name), self._rows.values[name]
-            if quantity.labels is None:
-                possible = values[weights > 0]
-                return f"{why}, where {name} is between {possible.min():g} and {possible.max():g}"
-            mass = np.bincount(values, weights, len(quantity.labels))
-            likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
-            listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
-            more = len(likely) - _LISTED
-            return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
-        return f"{why}, though each of these alone is possible"
+    @property
+    def _impossible(self) -> str:
+        """Why nothing can be conditioned on what has no mass."""
+        is_sampled = not math.isnan(self._effective_size)
+        return "no draw of this posterior has it" if is_sampled else "its probability here is 0"
 
     def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
         """Return what errors come from; ``share`` is that of the chains that are left out."""
@@ -590,9 +568,7 @@ class Hypotheses(Printed):
         weights = self._rows.weights[rows]
         total = weights.sum()
         if not total > 0:
-            raise InvalidSettingError(
-                f"cannot condition on {said.text}: {self._why_impossible(said)}"
-            )
+            raise InvalidSettingError(f"cannot condition on {said.text}: {self._impossible}")
         without = self._jackknife(share) if self._has_error(rows, *asked) else None
         return rows, weights / total, None if without is None else without.only(rows)
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis import tree as trees
-from phase_ppl.analysis.answers import answer_lines
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
-from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.quantities import ScenarioFunction, users_quantity, vocabulary_of
+from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
+from phase_ppl.analysis.quantities import Vocabulary, users_quantity
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -50,11 +49,6 @@ having reached the same place."""
 _MOST_UNTRIED: Final = 0.5
 """Largest prior mass of untried goals, if suggested goals fit no better than others."""
 
-_STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
-
-_FORMERLY: Final = {"importance": "stratified", "visited": "count"}
-"""What files of earlier versions call a weighting -> what has taken its place."""
-
 
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
@@ -66,18 +60,15 @@ class Posterior(EventPosterior):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "stratified" or "likelihood"
-            (``phase_ppl.analysis.weights`` says when each is valid); None: the run's default.
+        weights: "count" or "stratified" (``phase_ppl.analysis.weights`` says when each is valid);
+            None: the run's default.
         burn_in: first draws of each chain that do not count; None: the run's default, a quarter of
             twenty iterations or more, else none. Weights "stratified" ignore it: they use all
             simulations.
-        scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
-            green) -> one of "collaborative", "independent", "competing", "opposing". The
-            relation follows from it.
 
     Raises:
         InvalidEventError: the tree lacks something; the message names it.
-        UnknownNameError: there is no such weighting, or ``scenario`` returned no scenario.
+        UnknownNameError: there is no such weighting.
         InvalidSettingError: the tree cannot be weighted in this way.
     """
 
@@ -87,11 +78,10 @@ class Posterior(EventPosterior):
         weights: str | None = None,
         *,
         burn_in: int | None = None,
-        scenario: ScenarioFunction | None = None,
     ) -> None:
         trees.check_tree(tree)
-        recorded, n_draws = str(tree.attrs["weights"]), tree["posterior"].sizes["draw"]
-        self._weights = _FORMERLY.get(recorded, recorded) if weights is None else weights
+        n_draws = tree["posterior"].sizes["draw"]
+        self._weights = str(tree.attrs["weights"]) if weights is None else weights
         check_name("weights", self._weights, WEIGHTINGS)
         given = tree.attrs.get("burn_in", 0) if burn_in is None else burn_in
         self._burn_in = whole_number("burn_in", given, minimum=0)
@@ -102,7 +92,7 @@ class Posterior(EventPosterior):
         self._tree = tree
         self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         rows = WEIGHTINGS[self._weights](counted)
-        words = vocabulary_of(trees.space_of_tree(tree), scenario)
+        words = Vocabulary(trees.space_of_tree(tree))
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = users_quantity(counted, site, columns[site])
@@ -274,8 +264,6 @@ class Posterior(EventPosterior):
         return estimate.Estimate(value, why="a few chains have all the weight: take more")
 
     def under(self, prior: Callable[..., object]) -> Posterior:
-        if self._weights == "likelihood":
-            raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = trees.reweighted(self._tree, self.bound(prior))
         changed = self._under_weights(self._weights, tree)
         sizes = (
@@ -289,8 +277,7 @@ class Posterior(EventPosterior):
         return changed
 
     def _under_weights(self, weights: str, tree: xr.DataTree | None = None) -> Posterior:
-        tree, scenario = self._tree if tree is None else tree, self._words.scenario
-        other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
+        other = Posterior(self._tree if tree is None else tree, weights, burn_in=self._burn_in)
         return other._defining(self._defined)
 
     def map(self) -> Any:
@@ -402,8 +389,6 @@ class Posterior(EventPosterior):
     def arviz(self) -> Any:
         if self._weights == "stratified" or trees.are_weighted(self._counted):
             return super().arviz
-        if not are_equal(self._rows.weights):  # by their likelihood
-            return super().arviz
         return self._as_chains("all of the chains")
 
     @property
@@ -412,12 +397,7 @@ class Posterior(EventPosterior):
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
         Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
-        with ``sample_stats`` and ``posterior_predictive``. The latter is each draw's simulation
-        with the likelihood's noise on x and y of every frame, from a seed derived from the run's.
-        Angles are the simulation's, since the likelihood ignores them:
-        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})``. The paper's beta of 0.05 is a
-        tempered likelihood: its noise is 160 units long in a frame. A user's own likelihood has no
-        such group.
+        with ``sample_stats``.
 
         An indicator that does not change within any half of a chain has no R-hat; the attribute
         ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
@@ -438,20 +418,9 @@ class Posterior(EventPosterior):
     def _as_chains(self, how: str, *, moving: bool = False) -> Any:
         """Return the draws that are counted, chain by chain."""
         rows = np.arange(len(self._rows.weights)).reshape(trees.shape_of_draws(self._counted))
-        groups = {"sample_stats": self._counted["sample_stats"].to_dataset()}
-        simulated = self._counted[trees.SIMULATED].to_dataset()
-        if "beta" in simulated.attrs:  # else the noise of the likelihood is not known
-            from phase_ppl.models.likelihood import RadialLikelihood
-
-            rng = np.random.default_rng([int(self.settings.get("seed", 0)), _STREAM])
-            trajectory = simulated["trajectory"].astype(np.float64)
-            likelihood = RadialLikelihood(
-                float(simulated.attrs["beta"]), trajectory.sizes["entity"]
-            )
-            trajectory[..., :2] = likelihood.replicate(trajectory[..., :2].values, rng)
-            groups["posterior_predictive"] = simulated.assign(trajectory=trajectory)
+        stats = self._counted["sample_stats"].to_dataset()
         how += f", after a burn-in of {self._burn_in}" if self._burn_in else ""
-        return self._for_arviz(rows, self._beside, how, moving=moving, **groups)
+        return self._for_arviz(rows, self._beside, how, moving=moving, sample_stats=stats)
 
     @property
     def _weighting(self) -> str:
@@ -470,29 +439,6 @@ class Posterior(EventPosterior):
         tree = self._tree.copy()
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
         return {node.path: node.to_dataset(inherit=False) for node in tree.subtree}, {}
-
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        weights: str | None = None,
-        *,
-        burn_in: int | None = None,
-        scenario: ScenarioFunction | None = None,
-    ) -> Posterior:
-        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        from phase_ppl.data.hdf5 import read_netcdf
-
-        try:
-            tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
-            return cls(tree, weights, burn_in=burn_in, scenario=scenario)
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
 
     def _head(self, found: Mapping[str, Any]) -> str:
         after = self.burn_in and self.weights == "count"
@@ -562,30 +508,34 @@ def load_posterior(
     weights: str | None = None,
     *,
     burn_in: int | None = None,
-    scenario: ScenarioFunction | None = None,
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or of the closed loop.
-
-    ``Posterior.load`` and ``StepwisePosterior.load`` do the same for one kind and refuse the other.
 
     Args:
         path: the .nc file.
         weights, burn_in: of the draws of a sampled one; by default those it was saved with.
-        scenario: as of :class:`phase_ppl.Posterior`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
         InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, holds_stepwise
+    from phase_ppl.analysis.stepwise_posterior import FRAME, StepwisePosterior
+    from phase_ppl.analysis.stepwise_table import SCHEMA
+    from phase_ppl.data.hdf5 import read_netcdf
 
-    if not holds_stepwise(existing_file(path)):
-        return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
-    for name, given in (("weights", weights), ("burn_in", burn_in)):
-        if given is not None:
-            raise InvalidSettingError(
-                f"{name}={given!r}: {path} has a posterior of the closed loop, which has no draws "
-                f"to weight: leave {name} out"
-            )
-    return StepwisePosterior.load(path, scenario=scenario)
+    source = existing_file(path)
+    try:
+        groups = dict(read_netcdf(source))
+        read = groups["/"]
+        if read.attrs.get("schema") != SCHEMA:
+            return Posterior(xr.DataTree.from_dict(groups), weights, burn_in=burn_in)
+        for name, given in (("weights", weights), ("burn_in", burn_in)):
+            if given is not None:
+                raise InvalidSettingError(
+                    f"{name}={given!r}, but a posterior of the closed loop has no draws to weight: "
+                    f"leave {name} out"
+                )
+        return StepwisePosterior(read, read.attrs.pop(FRAME, None))
+    except (InvalidEventError, InvalidSettingError) as error:
+        raise type(error)(f"{source}: {error}") from None

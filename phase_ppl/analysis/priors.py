@@ -15,10 +15,10 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.answers import answer_lines, answers
 from phase_ppl.analysis.estimate import Jackknife
+from phase_ppl.analysis.event_posterior import answer_lines, answers
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.quantities import vocabulary_of
+from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models.density import compiled_quickly, draw, on_cpu
@@ -73,7 +73,7 @@ class Summary(Hypotheses):
     def __init__(
         self, title: str, prior: PriorMasses, further: Mapping[str, NDArray[Any]] | None = None
     ) -> None:
-        space, words = prior.space, vocabulary_of(prior.space)
+        space, words = prior.space, Vocabulary(prior.space)
         drawn = prior.are_many
         found = prior.drawn(np.exp(prior.log_goals)) if drawn else prior.enumerated()
         mass = np.exp(found.log_prior - found.log_drawn)

@@ -24,10 +24,8 @@ newtons.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, cast
 
 import numpy as np
@@ -35,7 +33,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import array
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import (
     ALPHAS,
@@ -47,9 +45,6 @@ from phase_ppl.world.hypothesis import (
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace, space_of
-
-ScenarioFunction = Callable[[str, str], str]
-"""(effective goal of red, of green) -> one of ``SCENARIOS``."""
 
 SIGNS: Final = ("-1", "0", "1")
 """Labels of ``alpha_<who>_<whom>`` beside PHASE: hinders, neither, helps."""
@@ -167,23 +162,14 @@ def users_quantity(
 ) -> tuple[Quantity, NDArray[Any]]:
     """Return a user's own site as a quantity, and its column as codes or numbers.
 
-    What is not real is a category: its labels are the attribute ``flag_meanings`` (JSON, by
-    code) where the tree has one, otherwise all values that occur.
+    What is not real is a category: its labels are all values that occur.
     """
     variable = tree["posterior"].dataset[name]
     if variable.dtype.kind == "f":
         return Quantity(name), values
     occurring = np.unique(np.append(variable.values, array(tree, "simulations", name)))
-    if "flag_meanings" not in variable.attrs:
-        options = tuple(occurring.tolist())
-        discrete = Quantity(name, tuple(map(str, options)), options)
-        return discrete, np.searchsorted(occurring, values)
-    meanings = tuple(map(str, json.loads(variable.attrs["flag_meanings"])))
-    if not np.isin(occurring, np.arange(len(meanings))).all():
-        raise InvalidEventError(
-            f"{name} takes the values {occurring.tolist()} but has {len(meanings)} labels"
-        )
-    return Quantity(name, meanings), values
+    options = tuple(occurring.tolist())
+    return Quantity(name, tuple(map(str, options)), options), np.searchsorted(occurring, values)
 
 
 def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
@@ -213,106 +199,53 @@ def part_codes(goal_red: NDArray[Any], goal_green: NDArray[Any]) -> dict[str, ND
     }
 
 
-def relation_codes(
-    goal_red: NDArray[Any], goal_green: NDArray[Any], scenario: ScenarioFunction | None = None
-) -> dict[str, NDArray[np.int64]]:
-    """Return the codes of ``relation`` and ``scenario`` of pairs of effective goals.
-
-    ``scenario`` replaces the paper's scenario of two goals; the relation follows from it.
-    """
-    if scenario is None:
-        codes = SCENARIO_TABLE[goal_red, goal_green].astype(np.int64)
-    else:
-        known = Quantity("scenario", SCENARIOS)
-        code = functools.cache(lambda red, green: known.code(scenario(GOALS[red], GOALS[green])))
-        pairs = zip(goal_red.tolist(), goal_green.tolist(), strict=True)
-        codes = np.array([code(red, green) for red, green in pairs], np.int64)
-    relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
-    return {"relation": relation_of[codes], "scenario": codes}
+_RELATION_OF: Final = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
 
 
-@dataclasses.dataclass(frozen=True)
 class Vocabulary:
     """What one can ask posteriors of a world for, and how it follows from a hypothesis.
 
-    Args:
+    In PHASE a pair of goals has a scenario, and each goal has parts.
+
+    Attributes:
         space: of the world.
-        scenario: replaces the paper's of two effective goals, in PHASE.
+        quantities: all of them, by name.
     """
 
-    space: HypothesisSpace
-    scenario: ScenarioFunction | None = None
-
-    @functools.cached_property
-    def quantities(self) -> dict[str, Quantity]:
-        """All quantities, by name."""
+    def __init__(self, space: HypothesisSpace) -> None:
+        self.space, self._in_phase = space, bool(space.scenario_names)
         found = [
-            *(Quantity(name, self.space.world.goals) for name in self.space.goal_sites),
-            *(Quantity(name, RELATIONS) for name in self.space.relation_names),
-            *self._stances(),
-            *map(Quantity, self.space.strength_sites),
-            *self._parts(),
+            *(Quantity(name, space.world.goals) for name in space.goal_sites),
+            *(Quantity(name, RELATIONS) for name in space.relation_names),
+            *(Quantity(name, SIGNS, (-1, 0, 1)) for name in space.alpha_names),
         ]
-        return {quantity.name: quantity for quantity in found}
-
-    def _stances(self) -> list[Quantity]:
-        """Return how agents stand to each other, beside relations."""
-        return [Quantity(name, SIGNS, (-1, 0, 1)) for name in self.space.alpha_names]
-
-    def _parts(self) -> list[Quantity]:
-        """Return what hypotheses consist of, beside the above."""
-        return []
+        if self._in_phase:
+            found += [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
+        found += map(Quantity, space.strength_sites)
+        if self._in_phase:
+            found += [Quantity(name, GOALS) for name in space.stated_sites]
+            each = itertools.product(space.world.keys, GOAL_PARTS.items())
+            found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in each]
+        self.quantities = {quantity.name: quantity for quantity in found}
 
     def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
         """Return relations, and in PHASE the scenario, of effective goals, columns (row,)."""
         goals = [np.asarray(columns[name]) for name in self.space.goal_sites]
-        return self.space.relation_codes(np.stack(goals, axis=-1))
+        if not self._in_phase:
+            return self.space.relation_codes(np.stack(goals, axis=-1))
+        codes = SCENARIO_TABLE[goals[0], goals[1]].astype(np.int64)
+        return {"relation": _RELATION_OF[codes], "scenario": codes}
 
     def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return columns of a file, (row,), with all that follows from them.
 
         Beside PHASE without stated goals, which of those who help or hinder mean nothing.
         """
+        if self._in_phase:
+            parts = part_codes(*(columns[name] for name in self.space.goal_sites))
+            return {**columns, **self.relation_codes(columns), **parts}
         users = {k: v for k, v in columns.items() if k not in self.space.columns}
         sites = (*self.space.goal_sites, *self.space.strength_sites)
         kept = {name: columns[name] for name in sites if name in columns}
         alphas = self.space.alpha_codes(columns[self.space.company_site])
         return {**kept, **self.relation_codes(columns), **alphas, **users}
-
-
-@dataclasses.dataclass(frozen=True)
-class PaperVocabulary(Vocabulary):
-    """That of PHASE, whose pairs of goals have a scenario, and whose goals have parts."""
-
-    def _stances(self) -> list[Quantity]:
-        return [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
-
-    def _parts(self) -> list[Quantity]:
-        each = itertools.product(self.space.world.keys, GOAL_PARTS.items())
-        return [
-            *(Quantity(name, GOALS) for name in self.space.stated_sites),
-            *(Quantity(f"{part}_{key}", labels) for key, (part, labels) in each),
-        ]
-
-    def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
-        red, green = (np.asarray(columns[name]) for name in self.space.goal_sites)
-        return relation_codes(red, green, self.scenario)
-
-    def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        parts = part_codes(*(columns[name] for name in self.space.goal_sites))
-        return {**columns, **self.relation_codes(columns), **parts}
-
-
-def vocabulary_of(space: HypothesisSpace, scenario: ScenarioFunction | None = None) -> Vocabulary:
-    """Return what one can ask posteriors of a world for; ``scenario`` as in PHASE's.
-
-    Raises:
-        InvalidSettingError: a scenario for another world.
-    """
-    if space.scenario_names:
-        return PaperVocabulary(space, scenario)
-    if scenario is not None:
-        raise InvalidSettingError(
-            f"scenario replaces that of the world PHASE; {space.world.name!r} has relations only"
-        )
-    return Vocabulary(space)

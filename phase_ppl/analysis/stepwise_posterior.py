@@ -6,41 +6,36 @@ import dataclasses
 import functools
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.answers import answer_lines
-from phase_ppl.analysis.definitions import Definition
-from phase_ppl.analysis.diagnostics import of_tracks
 from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
-from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
-from phase_ppl.analysis.quantities import ScenarioFunction, vocabulary_of
-from phase_ppl.analysis.stepwise_file import SCHEMAS, dimensions
-from phase_ppl.analysis.stepwise_table import Table, table_of
+from phase_ppl.analysis.quantities import Vocabulary
+from phase_ppl.analysis.query import Definition
+from phase_ppl.analysis.stepwise_table import Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
-from phase_ppl.analysis.users_sites import WithSites, with_sites
-from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
+from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading, of_tracks
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.data.hdf5 import read_netcdf, root_attribute
 from phase_ppl.models.prior_masses import MOST_HYPOTHESES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     QueryError,
     UnknownNameError,
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
-from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.users_sites import WithSites
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -49,7 +44,7 @@ FILTERING: Final = (
 )
 """Goes with every result over time."""
 
-_FRAME: Final = "frame"  # attribute of files: the last frame that is counted
+FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 
 
 class StepwisePosterior(EventPosterior):
@@ -72,15 +67,14 @@ class StepwisePosterior(EventPosterior):
     ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
     Args:
-        found: what was read (:mod:`phase_ppl.analysis.stepwise_file`).
+        found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
         frame: the posterior given the frames up to this one; by default all.
         prior: the program whose masses ``found`` has, for questions about further sites of it.
-        scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
         table: of ``found``, if there is one.
 
     Raises:
         InvalidEventError: ``found`` lacks something; the message names it.
-        InvalidSettingError: there is no such frame, or a scenario for another world than PHASE.
+        InvalidSettingError: there is no such frame.
     """
 
     def __init__(
@@ -89,7 +83,6 @@ class StepwisePosterior(EventPosterior):
         frame: int | None = None,
         *,
         prior: Callable[..., object] | None = None,
-        scenario: ScenarioFunction | None = None,
         table: Table | None = None,
     ) -> None:
         self._table: Table = table_of(found) if table is None else table
@@ -97,7 +90,7 @@ class StepwisePosterior(EventPosterior):
         last = self._table.n_frames - 1
         self._frame = last if frame is None else whole_number("frame", frame, 0, last)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        words = vocabulary_of(self._table.space, scenario)
+        words = Vocabulary(self._table.space)
         rows, without = self._table.rows(self._frame)
         self._over_sets = over_sets(without)
         if self._table.is_exact:  # there is nothing to leave out
@@ -115,7 +108,7 @@ class StepwisePosterior(EventPosterior):
         combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
 
         Raises:
-            InvalidSettingError: the prior has none, or is not known, as after :meth:`load`.
+            InvalidSettingError: the prior has none, or is not known, as after loading.
         """
         if not self._site_names:
             raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
@@ -125,6 +118,8 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
+        from phase_ppl.analysis.users_sites import with_sites
+
         prior = self.bound(self._prior)
         found = with_sites(prior, self._table, self._frame, self._words)
         return found._defining({**self._defined, **self._of_sites})
@@ -151,9 +146,9 @@ class StepwisePosterior(EventPosterior):
         said = (*names, *given) if isinstance(given, Mapping) else (*names, given)
         return self.sites if any(map(self._names_sites, said)) else self
 
-    def query(self, question: str, *, weights: str | None = None) -> Any:
+    def query(self, question: str) -> Any:
         try:
-            return super().query(question, weights=weights)
+            return super().query(question)
         except QueryError:
             if self._prior is None or not self._site_names:
                 raise
@@ -204,12 +199,12 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: see :func:`phase_ppl.analysis.stepwise_file.dimensions`."""
+        """What was read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
         return self._found
 
     @property
     def prior(self) -> Callable[..., object] | None:
-        """The program of the prior, as far as it is known; None after :meth:`load`."""
+        """The program of the prior, as far as it is known; None after loading."""
         return self._prior
 
     @property
@@ -223,8 +218,7 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        found, scenario, table = self._found, self._words.scenario, self._table
-        at = StepwisePosterior(found, frame, prior=self._prior, scenario=scenario, table=table)
+        at = StepwisePosterior(self._found, frame, prior=self._prior, table=self._table)
         return at._defining(self.definitions)
 
     @property
@@ -251,8 +245,7 @@ class StepwisePosterior(EventPosterior):
         known = dimensions(table.space)
         found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
-        scenario = self._words.scenario
-        changed = StepwisePosterior(found, self._frame, prior=prior, scenario=scenario)
+        changed = StepwisePosterior(found, self._frame, prior=prior)
         return changed._defining(self.definitions)
 
     @property
@@ -322,7 +315,7 @@ class StepwisePosterior(EventPosterior):
         ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
         ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
         ``unexplained_frames``, which no action explains; what
-        :func:`phase_ppl.analysis.diagnostics.of_tracks` says; and ``trust``, ``answer``,
+        :func:`phase_ppl.analysis.verdict.of_tracks` says; and ``trust``, ``answer``,
         ``checks``, ``next`` and ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
@@ -438,28 +431,8 @@ class StepwisePosterior(EventPosterior):
 
     def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
         found = self._found.copy()
-        found.attrs |= {_FRAME: self._frame}
+        found.attrs |= {FRAME: self._frame}
         return {"/": found}, {"zlib": True, "complevel": 4}
-
-    @classmethod
-    def load(
-        cls, path: str | os.PathLike[str], *, scenario: ScenarioFunction | None = None
-    ) -> StepwisePosterior:
-        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        if not holds_stepwise(source):
-            raise InvalidEventError(
-                f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
-            )
-        try:
-            found = read_netcdf(source)["/"]
-            return cls(found, found.attrs.pop(_FRAME, None), scenario=scenario)
-        except (InvalidEventError, InvalidSettingError) as error:
-            raise type(error)(f"{source}: {error}") from None
 
     def _judged(self) -> dict[str, Any]:
         return {"log_evidence": self.log_evidence, **super()._judged(), "frame": self.frame}
@@ -506,8 +479,3 @@ class StepwisePosterior(EventPosterior):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
-
-
-def holds_stepwise(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds a posterior of the closed loop."""
-    return root_attribute(path, "schema") in SCHEMAS

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import html
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.with_arviz import MIN_DRAWS
+from phase_ppl.data.motion import odd_pace
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.picture import LABEL, wrapped
+from phase_ppl.world.scene import Scene
 
 AGREED: Final = 0.8
 """Least share of particles with the same leading goal at which they agree."""
@@ -174,6 +181,55 @@ def as_html(found: Record) -> str:
     )
 
 
+# --- of the tracks --------------------------------------------------------------------------------
+
+_SHRUNK: Final = 0.8
+"""Overlap, as a share of their size, at which bodies count as overlapping: in contact they press
+into each other a little."""
+
+
+def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
+    """Return the frames in which bodies overlap each other or a wall."""
+    radius, walls, n_agents = scene.radius, scene.walls, len(scene.world.agents)
+    small = _SHRUNK * radius
+    near = np.full(len(trajectory), len(walls) > 0)
+    for one, other in itertools.combinations(range(trajectory.shape[1]), 2):
+        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
+        # an agent reaches 3 radii from its origin at most
+        near |= apart < 3 * (radius[one] + radius[other])
+    frames = np.flatnonzero(near).tolist()
+    return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
+
+
+def of_tracks(trajectory: FloatArray, scene: Scene, joint: bool) -> dict[str, Any]:
+    """Return what diagnostics have of the trajectories themselves.
+
+    Keys: ``n_frames``; ``unseen_frames``, in which each entity, or an agent's angle, was not seen,
+    of those that were not at times; and ``sealed_agents``, who start in a room without a door.
+    What the joint simulator alone cannot do: ``overlapping_frames``, in which bodies overlap each
+    other or a wall, else none; and ``odd_pace``, see :func:`phase_ppl.data.motion.odd_pace`, else
+    "".
+    """
+    rooms, agents = scene.rooms, scene.world.agents
+    starts = rooms.room_of(scene.start[: len(agents), :2]).tolist()
+    gone = dict(zip(scene.world.entities, np.isnan(trajectory[..., 0]).T, strict=True))
+    turned = zip(agents, np.isnan(trajectory[..., 2]).T, strict=False)  # items' angles say nothing
+    gone |= {f"{name}'s angle": unseen & ~gone[name] for name, unseen in turned}
+    return {
+        "n_frames": len(trajectory),
+        "overlapping_frames": overlapping_frames(trajectory, scene) if joint else [],
+        "odd_pace": odd_pace(trajectory, scene) if joint else "",
+        "sealed_agents": [
+            name
+            for name, room in zip(agents, starts, strict=True)
+            if len(rooms) > 1 and not rooms.exits(room)
+        ],
+        "unseen_frames": {
+            name: np.flatnonzero(unseen).tolist() for name, unseen in gone.items() if unseen.any()
+        },
+    }
+
+
 # --- of draws, and of the closed loop -------------------------------------------------------------
 
 
@@ -251,9 +307,6 @@ def of_draws(found: Record) -> dict[str, Any]:
         more = f"take more particles: chains={4 * particles}"
     longer = f"{more}, or {_CLOSED_LOOP}"
     checks = [*_succeeded(found), *_of_tracks(found)]
-    if weights == "likelihood":
-        says = "The weights 'likelihood' make every probability too extreme."
-        checks.append(Check("weights", "fail", weights, "any other", says, 'weights="count"'))
     if found["validity"] == "approximate" and weights != "stratified":
         says = (
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "

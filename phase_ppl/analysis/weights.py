@@ -26,10 +26,6 @@ Every query is a sum over such a table. Each weighting is valid under conditions
     Consistent under any acceptance rule, for kernels with proposal densities, given the history,
     that cover the prior: ``local_mh``, ``prior_mh``, the local moves of ``mixture`` (Rudolf &
     Sprungk 2020, Electronic Journal of Statistics 14:857).
-``"likelihood"``
-    Every draw weighs its own likelihood. The authors' published probabilities behave like this; use
-    it only to reproduce them. On the draws of an exact kernel the likelihood counts twice, so every
-    probability is too extreme.
 """
 
 from __future__ import annotations
@@ -120,20 +116,6 @@ def count(tree: xr.DataTree) -> Rows:
     """Return all draws with the kernel's weights: equal, unless its draws are weighted."""
     values, index = _draws(tree)
     return Rows(values, normalised(trees.log_weight_of_draws(tree).reshape(-1)), index)
-
-
-def likelihood(tree: xr.DataTree) -> Rows:
-    """Return all draws, each weighted by its own likelihood."""
-    values, index = _draws(tree)
-    simulation = trees.simulation_of_draw(tree).reshape(-1)
-    if (simulation < 0).any():
-        lost = int(np.argmax(simulation < 0))
-        raise InvalidEventError(
-            f"draw {index['draw'][lost]} of chain {index['chain'][lost]} rests on no completed "
-            "simulation of the tree, so its likelihood is unknown: use weights='count'"
-        )
-    log_likelihood = trees.array(tree, "simulations", "log_likelihood").astype(float)
-    return Rows(values, normalised(log_likelihood[simulation]), index)
 
 
 def stratified(tree: xr.DataTree) -> Rows:
@@ -320,9 +302,8 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
     "stratified": stratified,
-    "likelihood": likelihood,
 }
 """Name of a weighting -> the function that makes the table.
 
 They raise InvalidSettingError if nothing has weight, or the density of the kernel's proposals is
-unknown, and InvalidEventError if a draw has no simulation in the tree."""
+unknown."""

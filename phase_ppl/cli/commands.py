@@ -99,19 +99,13 @@ EVENT: an event file, or a bundled event's name
 --iterations N: default 6, or as before
 | --budget B: $BUDGET
 $cluster
---on-failure reject|raise|retry: what becomes of a failed simulation; default reject, or as before
---retries N: of retry; default 3
---burn-in N: draws at the beginning of each chain that do not count; default a quarter of 20
-    iterations or more, else none
---weights NAME: of the posterior; default: those that are valid for the kernel and the length
---simulation-seconds S: a simulation that takes longer has failed; default: none has
 --keep-checkpoint: keep run.ckpt when the run is complete, to extend it
 $progress""",
     "stored": "--stored NAME...: a reference model, whose answers the events carry, to be compared "
     "too, or all; may be given several times",
     "posterior": """
 FILE: a posterior's .nc file, or the folder of infer
---weights NAME: count, stratified or likelihood; default: the file's""",
+--weights NAME: count or stratified; default: the file's""",
 }
 """Help texts that several commands share."""
 

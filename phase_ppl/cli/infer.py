@@ -37,8 +37,8 @@ _STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
 
 _OF_SAMPLING: Final = (
-    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure", "retries"),
-    *("burn_in", "weights", "simulation_seconds", "keep_checkpoint"),
+    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure"),
+    *("weights", "simulation_seconds", "keep_checkpoint"),
 )
 """Options of ``infer`` that ``--watch`` has no use for."""
 
@@ -60,6 +60,10 @@ def infer(options: Options) -> int:
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
             beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
             several times
+        --on-failure reject|raise|retry: what becomes of a failed simulation; default reject
+        --simulation-seconds S: a simulation that takes longer has failed; default: none has
+        --weights NAME: of the posterior; default: those that are valid for the kernel and the
+            length
         --out DIR: for the posterior, a figure and a film
         $overwrite
         $run
@@ -287,10 +291,8 @@ def compare(options: Options) -> int:
         --chains N: default 15
         $model
         $planner
-        --reference R: a posterior's .nc file, 'enumeration' (more precise:
-            enumeration:per_pair=16) or a kernel, with options as in --kernels; default: the best
-            affordable one
-        --weights NAME: default count
+        --reference R: a posterior's .nc file, 'none' or 'enumeration' (more precise:
+            enumeration:per_pair=16); default: the best affordable one
         $cluster
         --checkpoint FILE: .json; stores finished runs and continues from them
         --out DIR: for the runs and a figure
@@ -333,16 +335,14 @@ def _kernels(text: str) -> dict[str, Any]:
     for label in (part.strip() for part in text.split(",")):
         if not label.partition(":")[0] or label in found:
             raise InvalidSettingError(f"--kernels {text}: expected different names, as in a,b,c")
-        found[label] = _with_options(label, "--kernels")
+        name, given = users_parts.with_settings(label, "--kernels")
+        found[label] = users_parts.taken(name, "kernel"), given
     return found
 
 
 def _reference(text: str | None) -> Any:
     if text is not None and text.endswith(".nc"):
-        return phase_ppl.Posterior.load(text)
-    return text if text is None or ":" not in text else _with_options(text, "--reference")
-
-
-def _with_options(text: str, option: str) -> tuple[Any, dict[str, Any]]:
-    name, given = users_parts.with_settings(text, option)
-    return users_parts.taken(name, "kernel"), given
+        return phase_ppl.load_posterior(text)
+    if text is None or ":" not in text:
+        return text
+    return users_parts.with_settings(text, "--reference")

@@ -234,7 +234,7 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
         with opened(source) as file:
             if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
-                    "is a posterior, not an event; phase_ppl.Posterior.load reads it"
+                    "is a posterior, not an event; phase_ppl.load_posterior reads it"
                 )
             for size in _sizes(file, n_bytes, groups):
                 left -= size

@@ -32,7 +32,7 @@ from phase_ppl.world.files import as_path, existing_file, write_bytes
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.space import space_of
 
-SCHEMA: Final = "phase-ppl-checkpoint-3"
+SCHEMA: Final = "phase-ppl-checkpoint-4"
 SUFFIXES: Final = (".ckpt",)
 
 _DOCUMENT: Final = "run.json"
@@ -130,8 +130,6 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
         raise ValueError("the records differ in length")
     if simulated.min() < 0 or simulated.max() > n_frames:
         raise ValueError(f"a record has more than {n_frames} frames")
-    # checkpoints did not always say how many requests came later
-    n_again = columns.get("n_again", np.isfinite(columns["log_again"]))
     records = []
     densities = ("log_prior", "log_proposal", "log_bound", "log_again")
     for row, (end, n) in enumerate(zip(ends, simulated, strict=True)):
@@ -155,7 +153,7 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
                 here,
                 chain=int(columns["chain"][row]),
                 iteration=int(columns["iteration"][row]),
-                n_again=int(n_again[row]),
+                n_again=int(columns["n_again"][row]),
                 **{name: float(columns[name][row]) for name in densities},
             )
         )
@@ -164,10 +162,7 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
 
 # --- the file of a run ----------------------------------------------------------------------------
 
-_ASKED: Final = (
-    *("iterations", "budget", "weights", "burn_in"),
-    *("on_failure", "retries", "simulation_seconds"),
-)
+_ASKED: Final = ("iterations", "budget", "weights", "on_failure", "simulation_seconds")
 _BUDGETS: Final = {"simulations": simulations, "frames": frames, "seconds": seconds}
 
 
@@ -182,8 +177,7 @@ class Checkpoint:
         identity: what determines the run (:meth:`phase_ppl.inference.run.Run.identity`).
         event: the event that the run explains.
         asked: arguments of ``infer`` by name: ``iterations`` and ``budget`` (one is None),
-            ``weights`` and ``burn_in`` (None: the default), ``on_failure``, ``retries`` and
-            ``simulation_seconds``.
+            ``weights`` (None: the default), ``on_failure`` and ``simulation_seconds``.
         again: ``model``, ``kernel``, ``options`` and ``settings`` to make the run again; each is
             None where it is not plain data, such as a user's own parts.
         particles: the initial particles, and those after every iteration.
@@ -214,9 +208,7 @@ class Checkpoint:
         self.event = dataclasses.replace(event, id=str(document["event_id"]))
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
-        # files of older versions had no weights and burn-in
-        given = {"weights": None, "burn_in": None, **document["target"], **document["failures"]}
-        self.asked = {name: given[name] for name in _ASKED}
+        self.asked = {name: document["target"][name] for name in _ASKED}
         if self.asked["budget"] is not None:
             amount, unit = self.asked["budget"]
             self.asked["budget"] = _BUDGETS[unit](amount)

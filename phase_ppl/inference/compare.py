@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -21,12 +23,21 @@ from phase_ppl.analysis.comparison import (
     of_truth,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.entries import Spec, entries
 from phase_ppl.inference.infer import CHAINS, infer
-from phase_ppl.inference.reference import Reference, reference_of
-from phase_ppl.inference.run import check_event
-from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
+from phase_ppl.inference.kernels.smc import SMC
+from phase_ppl.inference.reference import Asked, Reference, reference_of
+from phase_ppl.inference.registry import KernelInfo, info_of
+from phase_ppl.inference.run import Kernel, Run
+from phase_ppl.inference.settings import (
+    BUDGETS,
+    PRESETS,
+    Budget,
+    SimpleSettings,
+    check_event,
+    check_settings,
+    completed,
+    simulations,
+)
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
@@ -34,9 +45,9 @@ from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.processes import slots_of
 from phase_ppl.world.errors import (
     InvalidSettingError,
+    PhasePPLError,
     instance_of,
     shown,
-    unknown_name,
     whole_number,
 )
 from phase_ppl.world.event import Event
@@ -44,6 +55,7 @@ from phase_ppl.world.files import locked
 from phase_ppl.world.identity import stable, versions, versions_so_far
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
+from phase_ppl.world.scene import World
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -53,6 +65,135 @@ REPEATS: Final = 8
 
 _MOST_REPEATS: Final = 10**6
 _MAY_DIFFER: Final = ("kernels", "proposals", "repeats", "reference", "event", "versions")
+
+
+Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options
+
+_TAKEN: Final = (
+    *("event", "model", "kernel", "seed", "workers", "executor", "progress", "planner"),
+    *("budget", "iterations", "checkpoint", "weights"),
+)
+"""Arguments of ``infer`` that the comparison itself gives."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Entry:
+    """A kernel that is compared."""
+
+    label: str  # what it is called in tables and figures
+    kernel: Kernel  # as ``infer`` takes it
+    options: Mapping[str, Any]  # of the kernel
+    chains: int  # particles M
+    settings: SimpleSettings  # of SIMPLE
+    own: Mapping[str, Any]  # ``iterations`` and ``planner`` of a preset
+    info: KernelInfo  # what is known of the kernel
+
+    def proposals(self, world: World) -> str | None:
+        """Return how the kernel proposes goals; None: it asks for no proposals."""
+        settings = self.settings.settled(world)
+        return str(settings.proposal) if "guide" in self.info.needs else None
+
+    def record(self) -> dict[str, Any]:
+        """Return name and options as they are stored."""
+        return {
+            "name": self.info.name,
+            "options": dict(self.options),
+            "chains": self.chains,
+            "settings": dataclasses.asdict(self.settings),
+            **{name: str(value) for name, value in self.own.items()},
+        }
+
+    def check(self, event: Event, model: Model, budget: Any) -> None:
+        """Make the kernel and trace one step; nothing is simulated."""
+        try:
+            if "planner" in self.own:
+                model = dataclasses.replace(model, planner=self.own["planner"])
+            run = Run(event, model, self.kernel, self.options, self.settings, self.chains, seed=0)
+            iterations = self.own.get("iterations")
+            run.check(iterations, budget if iterations is None else None)
+        except PhasePPLError as error:
+            raise type(error)(f"{self.label}: {error}") from None
+        except Exception as error:  # a user's kernel can raise anything
+            reason = " ".join(str(error).split())
+            raise InvalidSettingError(
+                f"{self.label}: the kernel cannot run with {self.chains} chains and these "
+                f"settings: {type(error).__name__}: {reason}"
+            ) from error
+
+    def run(
+        self,
+        event: Event | StepwisePosterior,
+        model: Model | None,
+        budget: Any,
+        seed: int,
+        workers: int | None,
+        executor: Executor | None,
+    ) -> Posterior:
+        """Return the posterior of one run on an event or on a result of the closed loop."""
+        simulates, iterations = isinstance(event, Event), self.own.get("iterations")
+        post = infer(
+            event,
+            model,
+            kernel=self.kernel,
+            chains=self.chains,
+            seed=seed,
+            workers=workers,
+            executor=executor,
+            progress=False,
+            settings=self.settings,
+            iterations=iterations,
+            budget=budget if iterations is None else None,
+            planner=self.own.get("planner") if simulates else None,
+            **self.options,
+        )
+        return Posterior(post.tree, "count")  # the only weights that judge a kernel
+
+
+def entries(
+    kernels: Iterable[Spec] | Mapping[str, Spec], chains: int, settings: SimpleSettings
+) -> list[Entry]:
+    """Return the kernels of a comparison."""
+    if isinstance(kernels, str):
+        kernels = [kernels]
+    instance_of("kernels", kernels, Iterable, "names, or a mapping from labels to kernels")
+    named: Iterable[tuple[str | None, Spec]] = (
+        list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
+    )
+    found = [_entry_of(label, spec, chains, settings) for label, spec in named]
+    if not found:
+        raise InvalidSettingError("kernels is empty: name at least one")
+    label, most = Counter(one.label for one in found).most_common(1)[0]
+    if most > 1:
+        raise InvalidSettingError(
+            f"two kernels are called {label!r}: give a mapping from labels to kernels"
+        )
+    return found
+
+
+def _entry_of(label: str | None, spec: Spec, chains: int, settings: SimpleSettings) -> Entry:
+    """Return the entry of a kernel that a user names; its label is ``label`` or its name."""
+    kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
+    if isinstance(kernel, tuple) or not isinstance(given, Mapping):
+        raise InvalidSettingError(
+            f"{shown(spec)} is no kernel: expected a name, a kernel class, or (name, options)"
+        )
+    options, own = dict(given), dict[str, Any]()
+    if isinstance(kernel, str) and kernel in PRESETS:
+        label = label or kernel
+        options = completed(kernel, options)
+        kernel = str(options.pop("kernel"))
+        options.pop("weights", None)
+        own = {name: options.pop(name) for name in ("iterations", "planner") if name in options}
+    info = info_of(kernel)
+    for name in options:
+        if name in _TAKEN:
+            raise InvalidSettingError(
+                f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
+            )
+    own_settings = options.pop("settings", settings)
+    check_settings(own_settings, with_beta=False)
+    own_chains = options.pop("chains", chains)
+    return Entry(label or info.name, kernel, options, own_chains, own_settings, own, info)
 
 
 class ComparisonInterrupted(KeyboardInterrupt):
@@ -78,8 +219,7 @@ def compare(
     repeats: int = REPEATS,
     chains: int = CHAINS,
     seed: int = 0,
-    reference: Posterior | Spec | None = None,
-    weights: str = "count",
+    reference: Asked = None,
     settings: SimpleSettings | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
@@ -110,15 +250,12 @@ def compare(
         repeats: runs of every kernel.
         chains: particles M.
         seed: a whole number >= 0.
-        reference: posterior that the results are compared with. A posterior of the same event and
-            model; "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), or with more
-            than 4 simulations per pair of goals ``("enumeration", {"per_pair": 16})``; "none"; or
-            another kernel, as in ``kernels``. That kernel's options may have a ``budget`` or
-            ``iterations``; by default it has ten times the budget. The default is enumeration if
-            ten times the budget suffices, else four populations of ``smc`` that share that budget.
-            If ``smc`` is compared, there is then none. The distance between the reference's halves
-            is printed; kernels are not ranked within it.
-        weights: of the draws; "count" is the only valid one for judging kernels.
+        reference: what the results are compared with. A posterior of the same event and model;
+            "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), or with more than 4
+            simulations per pair of goals ``("enumeration", {"per_pair": 16})``; or "none". The
+            default is enumeration if ten times the budget suffices, else four populations of
+            ``smc`` that share that budget. If ``smc`` is compared, there is then none. The distance
+            between the reference's halves is printed; kernels are not ranked within it.
         settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
             If proposals need a reading of the video, its time counts, also if it was read before.
         workers: processes; by default one per usable core. With an ``executor``, how many
@@ -148,13 +285,12 @@ def compare(
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)
-    if weights not in WEIGHTINGS:
-        raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
     settings = SimpleSettings() if settings is None else settings
     chosen = entries(kernels, chains, settings)
-    wanted = Reference.asked_for(reference, event, budget, chains, settings, weights, chosen)
-    for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
+    with_smc = any(entry.info.factory is SMC for entry in chosen)
+    wanted = Reference.asked_for(reference, event, budget, chains, settings, with_smc)
+    for entry in chosen:
         entry.check(event, model, budget)
     runs = [(repeat, entry) for repeat in range(repeats) for entry in chosen]
     with locked(checkpoint):
@@ -170,7 +306,6 @@ def compare(
                 "chains": chains,
                 "repeats": repeats,
                 "seed": seed,
-                "weights": weights,
                 "reference": {"asked": wanted.record()},
                 **({} if read is None else {"read": read.settings}),
             },
@@ -198,7 +333,6 @@ def compare(
                     run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
                     source = event if read is None else read
                     post = entry.run(source, model, budget, run_seed, workers, executor)
-                    post = Posterior(post.tree, entry.own.get("weights", weights))
                     columns = {
                         "kernel": entry.label,
                         "repeat": repeat,
@@ -269,8 +403,8 @@ class _Record:
                     f"{shown(given)}; name another file, or delete this one"
                 )
         new["versions"] = old.get("versions", {})
-        for name in ("kernels", "proposals"):  # files did not always have the latter
-            new[name] = {**old.get(name, {}), **new[name]}
+        for name in ("kernels", "proposals"):
+            new[name] = {**old[name], **new[name]}
         new["repeats"] = max(old["repeats"], new["repeats"])
         new["reference"] = old["reference"]
         self.runs = stored.runs.to_dict("records")

@@ -9,25 +9,28 @@ import warnings
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.verdict import ODD_PACE
 from phase_ppl.data.motion import odd_pace
-from phase_ppl.inference import run as runs
-from phase_ppl.inference.run import Kernel, Run, check_event, model_again
-from phase_ppl.inference.sampler import RunOptions, sample
-from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings, check_settings
+from phase_ppl.inference.settings import (
+    KERNEL,
+    Budget,
+    SimpleSettings,
+    check_event,
+    check_settings,
+)
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
-from phase_ppl.world.identity import differences, event_digest, versions_so_far
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
     from phase_ppl.inference.checkpoint import Checkpoint
+    from phase_ppl.inference.run import Kernel, Run
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -61,12 +64,10 @@ def infer(
     executor: Executor | None = None,
     budget: Budget | None = None,
     on_failure: str = "reject",
-    retries: int | None = None,
     simulation_seconds: float | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
-    burn_in: int | None = None,
     weights: str | None = None,
     **kernel_options: Any,
 ) -> Posterior | StepwisePosterior:
@@ -94,9 +95,9 @@ def infer(
 
     * "reject": the likelihood is zero. Hypotheses under which the simulator often fails lose
       that share of their probability.
-    * "retry": the simulation is repeated with a fresh seed derived from its own, up to ``retries``
-      times, then rejected. The likelihood is that of successful runs, so failing costs a
-      hypothesis next to nothing.
+    * "retry": the simulation is repeated with a fresh seed derived from its own, up to three times,
+      then rejected. The likelihood is that of successful runs, so failing costs a hypothesis next
+      to nothing.
     * "raise": the run ends with the error and keeps what was done. A run that ends without it had
       no failures.
 
@@ -104,8 +105,7 @@ def infer(
         event: event to explain; with a kernel, also a result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
         kernel: None: the closed loop. To sample: a name (:func:`phase_ppl.available_kernels`), a
-            kernel class, an instance of one of ours, or a function from the program of the event
-            to a NumPyro kernel.
+            kernel class, or a function from the program of the event to a NumPyro kernel.
         chains: number of particles, M in the paper; each is a chain.
         iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
             loop.
@@ -123,18 +123,15 @@ def infer(
             ``phase_ppl.seconds(n)``: as many iterations as are expected to end within n seconds by
             the clock, possibly none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
-        retries: of "retry"; by default 3.
         simulation_seconds: longest time of a simulation before it fails; by default unlimited. With
             a budget of seconds no initial simulation may take longer than the budget.
         checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial
             particles and after every iteration. It must not exist yet.
         progress: show a bar on stderr; by default if stderr is a terminal.
         settings: of SIMPLE; by default those of the preset "simple".
-        burn_in: first draws of each chain that do not count; by default a quarter of twenty
-            iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
-            counts them.
         weights: of the posterior, see ``phase_ppl.analysis.weights``; by default those that are
-            valid for the kernel and the length.
+            valid for the kernel and the length. A quarter of each chain of twenty iterations or
+            more does not count, but is kept: ``Posterior(post.tree, burn_in=0)`` counts it.
         **kernel_options: for the kernel, such as ``rule="paper"``.
 
     Raises:
@@ -148,29 +145,27 @@ def infer(
     results so far as ``posterior``.
     It is None if the initial particles were not complete.
     """
-    of_sampling: dict[str, Any] = {
+    options: dict[str, Any] = {
         "iterations": iterations,
         "budget": budget,
         "on_failure": on_failure,
-        "retries": retries,
         "simulation_seconds": simulation_seconds,
         "executor": executor,
         "checkpoint": checkpoint,
-        "burn_in": burn_in,
         "weights": weights,
     }
-    options = RunOptions(**of_sampling, workers=workers, progress=progress)
     if "preset" in kernel_options:
         raise InvalidSettingError(
             f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
             "infer(event, **phase_ppl.preset(...))"
         )
-    of_sampling |= {"chains": chains, "settings": settings, **kernel_options}
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
     if kernel is None:
+        of_sampling = {**options, "chains": chains, "settings": settings, **kernel_options}
+        usual = {"on_failure": "reject", "chains": CHAINS}
         for name, value in of_sampling.items():
-            if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
+            if value != usual.get(name):
                 raise InvalidSettingError(
                     f"{name}={shown(value)} is for sampling, and no kernel is named: add "
                     f'kernel="{KERNEL}", which is SIMPLE, or another; without one the closed loop '
@@ -183,6 +178,10 @@ def infer(
         _check_rate(event, model)
         found = filtered_frames(event, model, seed, workers, progress)
         return StepwisePosterior(found, prior=model.prior)
+    from phase_ppl.inference.run import Run
+    from phase_ppl.inference.sampler import RunOptions, sample
+
+    given = RunOptions(**options, workers=workers, progress=progress)
     settings = SimpleSettings() if settings is None else settings
     check_settings(settings)
     of_run = kernel, kernel_options, settings, chains, seed
@@ -195,16 +194,16 @@ def infer(
                     f"{name}={shown(value)} is for simulations: the video was read before"
                 )
         model = model_of(event, model)
-        return sample_table(event, Run(event_of(event), model, *of_run), options)
+        return sample_table(event, Run(event_of(event), model, *of_run), given)
     model = _complete_model(model, planner, settings)
     run = Run(check_event(event), model, *of_run)
     if is_stepwise(model.likelihood):
         from phase_ppl.inference.table_run import check_looked_up, sample_table
 
-        check_looked_up(options)
+        check_looked_up(given)
         run.check(iterations, budget)  # before it is read
         read = infer(event, model, seed=seed, workers=workers, progress=progress)
-        return sample_table(read, run, options)
+        return sample_table(read, run, given)
     if checkpoint is not None:
         from phase_ppl.inference.checkpoint import SUFFIXES
 
@@ -215,7 +214,7 @@ def infer(
             )
         check_output(checkpoint, SUFFIXES)
     with locked(checkpoint):
-        return sample(run, options, checked=functools.partial(_check_rate, event, model, 5))
+        return sample(run, given, checked=functools.partial(_check_rate, event, model, 5))
 
 
 @on_cpu()
@@ -230,13 +229,8 @@ def resume(
     workers: int | None = None,
     executor: Executor | None = None,
     budget: Budget | None = None,
-    on_failure: str | None = None,
-    retries: int | None = None,
-    simulation_seconds: float | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
-    burn_in: int | None = None,
-    weights: str | None = None,
     other_versions: bool = False,
     **kernel_options: Any,
 ) -> Posterior:
@@ -255,10 +249,6 @@ def resume(
         iterations, budget: of the whole run, what was done included; by default as before.
         planner: as in :func:`infer`, if ``model`` is given.
         workers, executor, progress: as in :func:`infer`.
-        on_failure, retries: as in :func:`infer`; by default as before. They can change as long as
-            no simulation has failed.
-        burn_in, weights: as in :func:`infer`; by default as before.
-        simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: continue with other versions. The attributes ``versions`` and
             ``earlier_versions`` of the posterior's tree keep both.
         settings, **kernel_options: needed unless they are numbers, strings and the like.
@@ -269,7 +259,10 @@ def resume(
             says how; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
+    from phase_ppl.inference import run as runs
     from phase_ppl.inference.checkpoint import SUFFIXES, Checkpoint
+    from phase_ppl.inference.sampler import RunOptions, sample
+    from phase_ppl.world.identity import versions_so_far
 
     began = runs.clock()
     saved = Checkpoint(path)
@@ -280,14 +273,14 @@ def resume(
     if model is None:
         own = "prior {model[prior]}, simulator {model[simulator]}, {model[likelihood]}"
         reason = f"the model has parts of its own ({own}), which a file cannot hold"
-        model = saved.made(model_again, {"stored": _stored(saved, "model", reason)})
+        model = saved.made(runs.model_again, {"stored": _stored(saved, "model", reason)})
     if kernel is None:
         reason = "the kernel {kernel[name]} was given as an object, which a file cannot hold"
         kernel = _stored(saved, "kernel", reason)
     if not kernel_options:
         reason = "the kernel options {kernel[options]} are not all plain data"
         kernel_options = _stored(saved, "options", reason)
-    run = Run(
+    run = runs.Run(
         saved.event if event is None else event,
         _complete_model(model, planner, settings),
         kernel,
@@ -299,36 +292,18 @@ def resume(
     _check_same(saved, run)
     if iterations is None and budget is None:
         iterations, budget = saved.asked["iterations"], saved.asked["budget"]
-    before = saved.asked if on_failure is None else {**saved.asked, "retries": None}
-    given: dict[str, Any] = {
-        "on_failure": on_failure,
-        "retries": retries,
-        "simulation_seconds": simulation_seconds,
-        "burn_in": burn_in,
-        "weights": weights,
-    }
-    asked = {name: before[name] if value is None else value for name, value in given.items()}
-    now, then = (
-        "on_failure={on_failure!r}, retries={retries}".format(**of) for of in (asked, saved.asked)
-    )
-    if now != then and saved.statistics.failures:
-        raise InvalidSettingError(
-            f"{now}: {saved.path} has failed simulations, which went by {then}"
-        )
     check_output(path, SUFFIXES)
     versions = saved.versions
     if budget is not None or iterations != saved.done:
         versions = versions_so_far(saved.versions, path, other_versions)
     options = RunOptions(
-        iterations=iterations,
-        budget=budget,
+        **{**saved.asked, "iterations": iterations, "budget": budget},
         workers=workers,
         executor=executor,
         progress=progress,
         checkpoint=path,
         versions=versions,
         began=began,
-        **asked,
     )
     with locked(path):
         return sample(run, options, saved)
@@ -369,6 +344,8 @@ def _stored(saved: Checkpoint, name: str, reason: str) -> Any:
 
 
 def _check_same(saved: Checkpoint, run: Run) -> None:
+    from phase_ppl.world.identity import differences, event_digest
+
     if event_digest(run.event) != saved.identity["event"]:
         raise InvalidSettingError(
             f"{saved.path} is a run of another event ({saved.event.id!r}): its scene or "

@@ -22,8 +22,7 @@ from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.draws import PARTICLE_COLUMNS, particles_of, tree_of
 from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.registry import KERNELS
-from phase_ppl.inference.run import check_event
-from phase_ppl.inference.settings import SimpleSettings, check_settings
+from phase_ppl.inference.settings import SimpleSettings, check_event, check_settings
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
 from phase_ppl.models.likelihood import is_stepwise
@@ -187,7 +186,6 @@ def program(
     workers: int | None = None,
     executor: Executor | None = None,
     on_failure: str = "reject",
-    retries: int | None = None,
     simulation_seconds: float | None = None,
 ) -> OpenProgram:
     """Return the paper's model of an event as a NumPyro program, with workers that simulate.
@@ -206,7 +204,7 @@ def program(
     JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 
     Args:
-        event, model, workers, executor, on_failure, retries, simulation_seconds: as in
+        event, model, workers, executor, on_failure, simulation_seconds: as in
             :func:`phase_ppl.infer`.
         settings: of SIMPLE, for kernels that propose from windows.
 
@@ -229,7 +227,6 @@ def program(
         workers=workers,
         executor=executor,
         on_failure=on_failure,
-        retries=retries,
         simulation_seconds=simulation_seconds,
     )
     return OpenProgram(event, model, settings, runner)

@@ -1,4 +1,4 @@
-"""References that kernels are compared with: enumeration, a long run, or the exact sum of a table.
+"""References that kernels are compared with: enumeration, populations, or the exact sum of a table.
 
 Enumeration simulates all effective goals g of the agents. Their mass is the mean over strengths
 s ~ P(s) and simulator seeds w of
@@ -32,7 +32,7 @@ from phase_ppl.analysis.comparison import (
     marginals,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.entries import Entry, Spec, entry_of
+from phase_ppl.inference.infer import infer
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
@@ -184,6 +184,7 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
 
 
 Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say
+Asked: TypeAlias = Posterior | str | tuple[str, Mapping[str, int]] | None
 ENUMERATION: Final = "enumeration"
 NONE: Final = "none"  # in place of a reference: there is none
 LONG: Final = 10  # how many times the budget a reference may take
@@ -195,61 +196,50 @@ _FEW: Final = 3  # iterations that a population goes on for at least
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """The requested reference: a posterior, enumeration, a kernel, or none."""
+    """The requested reference: a posterior, enumeration, populations of ``smc``, or none."""
 
     budget: Budget  # what it may take
-    weights: str  # of the draws of a run
+    settings: SimpleSettings
     given: Posterior | None = None
     enumeration: bool = False  # whether goals are enumerated, if the budget suffices
     at_any_cost: bool = False  # whether they are even if it does not
-    kernel: Entry | None = None  # of a run
     per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
+    particles: int = 0  # of each population; 0: there are none
 
     @classmethod
     def asked_for(
         cls,
-        reference: Posterior | Spec | None,
+        reference: Asked,
         event: Event,
         budget: Budget,
         chains: int,
         settings: SimpleSettings,
-        weights: str,
-        compared: Sequence[Entry],
+        smc_is_compared: bool,
     ) -> Reference:
         """Return the meaning of a comparison's argument ``reference``.
 
-        A compared kernel is refused as reference, since that would favour it.
+        If ``smc`` is compared, it is no reference, since that would favour it.
         """
         if isinstance(reference, Posterior):
             if not np.array_equal(reference.observed(), event.observation.trajectory):
                 raise InvalidEventError(
                     f"the reference is of {reference.event_id}, another event than {event.id}"
                 )
-            return cls(budget, weights, given=reference)
+            return cls(budget, settings, given=reference)
         if reference == NONE:
-            return cls(budget, weights)
+            return cls(budget, settings)
+        if reference is None:
+            long = dataclasses.replace(budget, amount=LONG * budget.amount)
+            particles = 0 if smc_is_compared else _particles(long, chains, event)
+            return cls(long, settings, enumeration=True, particles=particles)
         given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
-        if given[:1] == (ENUMERATION,):
-            each = _per_pair(given)
-            return cls(budget, weights, enumeration=True, at_any_cost=True, per_pair=each)
-        long = dataclasses.replace(budget, amount=LONG * budget.amount)
-        particles = _particles(long, chains, event.observation.n_frames)
-        spec = (LONG_RUN, {"chains": particles}) if reference is None else reference
-        run = entry_of("reference", spec, chains, settings, own_length=True)
-        same = [
-            one.label
-            for one in compared
-            if one.info.factory is run.info.factory and one.options == run.options
-        ]
-        if same and reference is not None:
+        if given[:1] != (ENUMERATION,):
             raise InvalidSettingError(
-                f"the reference {same[0]!r} is also compared, and would favour itself: "
-                f"expected {ENUMERATION!r}, {NONE!r}, a posterior or a kernel that is not compared"
+                f"reference={shown(reference)}, expected {ENUMERATION!r}, {NONE!r} or a posterior, "
+                "such as infer(event, model, kernel=...)"
             )
-        if not run.length:
-            run = dataclasses.replace(run, own={**run.own, "budget": long})
-        kernel = None if same else run
-        return cls(long, weights, enumeration=reference is None, kernel=kernel)
+        each = _per_pair(given)
+        return cls(budget, settings, enumeration=True, at_any_cost=True, per_pair=each)
 
     def record(self) -> Any:
         """Return the request as it is stored."""
@@ -261,16 +251,19 @@ class Reference:
         if self.at_any_cost:
             more = {} if self.per_pair == PER_PAIR else {"per_pair": self.per_pair}
             return [ENUMERATION, more] if more else ENUMERATION
-        run = NONE if self.kernel is None else self.kernel.record()
-        return {"enumeration if affordable": True, "else": run} if self.enumeration else run
+        if not self.enumeration:
+            return NONE
+        run = {"name": LONG_RUN, "chains": self.particles, "budget": str(self.budget)}
+        return {"enumeration if affordable": True, "else": run if self.particles else NONE}
 
 
-def _particles(budget: Budget, chains: int, n_frames: int) -> int:
+def _particles(budget: Budget, chains: int, event: Event) -> int:
     """Return how many particles each population of the default reference has.
 
     A small budget gets fewer, so that each population can make a few iterations.
     """
-    each = budget.amount / POPULATIONS / (n_frames if budget.unit == "frames" else 1)
+    each = budget.amount / POPULATIONS
+    each /= event.observation.n_frames if budget.unit == "frames" else 1
     most = math.inf if budget.unit == "seconds" else each // (1 + _FEW)
     return int(max(2, min(_LARGER * chains, most)))
 
@@ -348,28 +341,21 @@ def reference_of(
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
         return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
-    if asked.kernel is None:
+    if not asked.particles:
         return said("none", None, 0, [])
-    seeds = np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
-    length = ", ".join(str(value) for value in asked.kernel.length.values())
-    words = f"{asked.kernel.info.name}, {length}, weights {asked.weights}"
-
-    def run(entry: Entry, number: int) -> Posterior:
-        of_run = model, asked.budget, number, workers, executor
-        return Posterior(entry.run(event if read is None else read, *of_run).tree, asked.weights)
-
-    if asked.kernel.info.keeps != "last":
-        post = run(asked.kernel, seeds[0])
-        words += "; its error is known as far as its chains have mixed"
-        return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
     # chains of one population depend on each other, whole populations do not
-    whole = asked.kernel.length.get("budget", asked.budget)
-    amount = whole.amount / POPULATIONS
-    in_seconds = whole.unit == "seconds"
-    share = dataclasses.replace(whole, amount=amount if in_seconds else max(1, int(amount)))
-    own = asked.kernel.own if "iterations" in asked.kernel.own else {"budget": share}
-    posts = [run(dataclasses.replace(asked.kernel, own=own), number) for number in seeds]
-    evidence = np.array([_log_evidence(post) for post in posts])
+    amount = asked.budget.amount / POPULATIONS
+    in_seconds = asked.budget.unit == "seconds"
+    share = dataclasses.replace(asked.budget, amount=amount if in_seconds else max(1, int(amount)))
+    of_run: dict[str, Any] = {"chains": asked.particles, "budget": share, "progress": False}
+    of_run |= {"settings": asked.settings, "workers": workers, "executor": executor}
+    posts = [
+        infer(event if read is None else read, model, kernel=LONG_RUN, seed=number, **of_run)
+        for number in np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
+    ]
+    words = f"{LONG_RUN}, {asked.budget}"
+    stats = [post.tree["sample_stats"].dataset for post in posts]
+    evidence = np.array([float(one["log_evidence"].values[0, -1]) for one in stats])
     weight = np.exp(evidence - evidence.max())
     parts = [marginals(post) for post in posts]
 
@@ -385,12 +371,6 @@ def reference_of(
     simulations = sum(int(post.cost["simulations"]) for post in posts)
     words += f", as {POPULATIONS} independent populations weighed by their evidence"
     return said(words, together(range(POPULATIONS)), simulations, halves)
-
-
-def _log_evidence(post: Posterior) -> float:
-    """Return the log evidence that a population estimated; 0: the kernel estimates none."""
-    stats = post.tree["sample_stats"].dataset
-    return float(stats["log_evidence"].values[0, -1]) if "log_evidence" in stats else 0.0
 
 
 def _affordable(asked: Reference, event: Event) -> float:

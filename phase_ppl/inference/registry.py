@@ -12,8 +12,7 @@ A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -
 ``window``, ``log_weight`` (for weighted draws) and ``log_evidence``.
 
 Some facts depend on the model. A kernel may define them as attributes: ``validity``,
-``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by default) and
-``n_iterations(chains)``, of a kernel that decides its own length.
+``sims_per_step`` and ``n_iterations(chains)``, of a kernel that decides its own length.
 """
 
 from __future__ import annotations
@@ -58,7 +57,6 @@ class KernelInfo:
     sims_per_step: int
     needs: tuple[str, ...]  # keyword arguments that the factory asks for, of ``NEEDS``
     summary: str  # first line of the factory's documentation
-    even_chains: bool = False  # whether it needs an even number of chains
     # particles that are draws of the posterior: "all", after every iteration; "last", after the
     # last one; "start", all and the initial ones
     keeps: Keeps = "all"
@@ -104,10 +102,6 @@ class KernelInfo:
         return tuple(one.name for one in given if one.name not in NEEDS)
 
 
-_OURS: Final = {"SA": "sa", "AIES": "aies", "Gibbs": "gibbs", "DiscreteGibbs": "gibbs"}
-"""NumPyro's kernel -> its name here."""
-
-
 def refuse_numpyros(kind: type, kernel: str) -> None:
     """Refuse a kernel class of NumPyro itself; the error says what to write instead."""
     if issubclass(kind, HMC):
@@ -116,11 +110,9 @@ def refuse_numpyros(kind: type, kernel: str) -> None:
             "available_kernels() lists kernels without one"
         )
     if issubclass(kind, MCMCKernel) and kind.__module__.startswith("numpyro."):
-        ours = _OURS.get(kind.__name__)
-        write = f"write kernel={ours!r} for it, or run it" if ours else "run it"
         raise InvalidSettingError(
-            f"kernel {kernel} keeps no seed of the simulator: {write} by numpyro.infer.MCMC on a "
-            "phase_ppl.program"
+            f"kernel {kernel} keeps no seed of the simulator: run it by numpyro.infer.MCMC on a "
+            "phase_ppl.program; kernel='gibbs' is NumPyro's Gibbs"
         )
 
 
@@ -137,7 +129,6 @@ def register_kernel(
     validity: Validity,
     sims_per_step: int = 1,
     needs: Sequence[str] = (),
-    even_chains: bool = False,
     keeps: Keeps = "all",
     weighted: bool = False,
     any_length: bool = False,
@@ -156,7 +147,7 @@ def register_kernel(
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
-    more = even_chains, keeps, weighted, any_length
+    more = keeps, weighted, any_length
     return KERNELS.register(
         name,
         lambda factory, summary: KernelInfo(
@@ -180,42 +171,27 @@ def kernel_info(name: str) -> KernelInfo:
     return KERNELS[name]
 
 
-def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
-    """Return the facts about a kernel given by name, factory, class or instance.
-
-    An instance of ours keeps its options and is bound to the event at hand.
-    """
+def info_of(kernel: str | Factory) -> KernelInfo:
+    """Return the facts about a kernel given by name, factory or class."""
     if isinstance(kernel, str):
         return kernel_info(kernel)
-    is_made = isinstance(kernel, MCMCKernel)
-    if not (is_made or callable(kernel)):
+    refuse_numpyros(kernel if isinstance(kernel, type) else type(kernel), shown(kernel))
+    if not callable(kernel) or isinstance(kernel, MCMCKernel):
         raise InvalidSettingError(
             f"kernel={shown(kernel)}: expected a name of phase_ppl.available_kernels(), such as "
             "'local_mh', a kernel class, or a function that makes a kernel from the program"
         )
-    name = getattr(kernel, "__name__", type(kernel).__name__)
-    factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
-    refuse_numpyros(kernel if isinstance(kernel, type) else type(kernel), name)
-    if factory is None:
-        raise InvalidSettingError(
-            f"kernel {name}: give the class, or a function that makes the kernel from the "
-            "program; an instance already has a program of its own"
-        )
-    parameters = inspect.signature(factory).parameters
-    needs = tuple(need for need in NEEDS if need in parameters)
     for _, info in KERNELS.items():
         if info.factory is kernel:
             return info
-        if info.factory is type(kernel):
-            return dataclasses.replace(info, factory=factory, needs=needs)
+    parameters = inspect.signature(kernel).parameters
     return KernelInfo(
-        name,
-        factory,
+        getattr(kernel, "__name__", type(kernel).__name__),
+        kernel,
         validity="unknown",
         sims_per_step=getattr(kernel, "sims_per_step", 1),
-        needs=needs,
+        needs=tuple(need for need in NEEDS if need in parameters),
         summary=(inspect.getdoc(kernel) or "").split("\n")[0],
-        even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
         adapts=getattr(kernel, "adapts", False),

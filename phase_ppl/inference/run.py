@@ -27,7 +27,7 @@ from phase_ppl.inference.kernels.amis import Adaptation, Proposal, first_proposa
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import EventKernel, Stage, through
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
-from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
+from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, check_event
 from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
@@ -45,13 +45,7 @@ from phase_ppl.models.effective import WorldPrior, as_given
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, Lookup, event_salt
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    instance_of,
-    shown,
-    whole_number,
-)
+from phase_ppl.world.errors import InvalidSettingError, instance_of, whole_number
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
 
@@ -63,8 +57,8 @@ _BY_FRAME: Final = (RadialLikelihood, InNats)
 _SHORT, _USUAL = 16, 128
 """Lengths to which arrays of frames are padded; longer videos take the next power of 2."""
 
-Kernel: TypeAlias = str | Factory | MCMCKernel
-"""A kernel as users give it: a name, a factory or class, or an instance."""
+Kernel: TypeAlias = str | Factory
+"""A kernel as users give it: a name, a class, or a factory."""
 
 
 class Data(NamedTuple):
@@ -122,19 +116,12 @@ class Run:
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)
         self.seed = whole_number("seed", self.seed, minimum=0)
-        if self.info.even_chains and self.chains % 2:
-            raise InvalidSettingError(
-                f"chains={self.chains}: kernel {self.info.name!r} needs an even number, such as "
-                f"{self.chains + 1}"
-            )
         self.n_frames = self.event.observation.n_frames
         # a user's own likelihood may treat frames differently
         self._is_padded = self.info.any_length and type(model.error_likelihood) in _BY_FRAME
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of the run as plain data: runs with equal identities are the same."""
-        own_values = vars(self.kernel) if isinstance(self.kernel, MCMCKernel) else {}
-        plain = bool | int | float | str
         factory = self.info.factory if isinstance(self.kernel, str) else self.kernel
         return {
             "event": event_digest(self.event),
@@ -142,7 +129,6 @@ class Run:
             "kernel": {
                 "name": self.info.name,
                 "source": source_hash(factory),
-                "values": {k: v for k, v in sorted(own_values.items()) if isinstance(v, plain)},
                 "options": stable(dict(self.kernel_options)),
             },
             "settings": stable(vars(self.settings)),
@@ -242,13 +228,6 @@ class Run:
         steps = compiled(self.recipe)  # what is traced here is not traced again by the run
         keys = random.split(random.key(0), self.chains)
         steps.shapes("moves", data, steps.shapes("starts", data, keys, None))
-
-
-def check_event(given: object) -> Event:
-    """Return ``given`` if it is an event; raise InvalidEventError otherwise."""
-    if not isinstance(given, Event):
-        raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
-    return given
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
@@ -427,7 +406,6 @@ class Length(NamedTuple):
     chains: int  # number of particles M
     iterations: int | None = None  # L, after the initial particles; None: until the budget is spent
     budget: Budget | None = None  # none where there is a number of iterations
-    sims_at_start: int = 1  # the most simulations of each initial particle
     sims_per_step: int = 1  # the most simulations that an iteration takes per particle
 
     @classmethod
@@ -447,22 +425,19 @@ class Length(NamedTuple):
         if budget is not None:
             instance_of("budget", budget, Budget, BUDGETS)
         per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
-        length = cls(chains, iterations, budget, getattr(kernel, "sims_at_start", 1), per_step)
+        length = cls(chains, iterations, budget, per_step)
         if own := getattr(kernel, "n_iterations", None):
             length._check_own(info.name, own(chains), n_frames)
             return length._replace(iterations=own(chains), budget=None)
         if budget is None:
             wanted = ITERATIONS if iterations is None else whole_number("iterations", iterations)
             return length._replace(iterations=wanted)
-        at_start = length.at_most(0)
         small = f"a budget of {budget} is too small: {chains} initial particles"
         # the cost of an iteration is unknown beforehand: assume one simulation for each particle
-        if length.limit("simulations") < at_start + chains:
-            raise InvalidSettingError(f"{small} and one iteration need {at_start + chains}")
-        if length.limit("frames") <= at_start * n_frames:
-            raise InvalidSettingError(
-                f"{small} need {at_start * n_frames}, and iterations come on top"
-            )
+        if length.limit("simulations") < 2 * chains:
+            raise InvalidSettingError(f"{small} and one iteration need {2 * chains}")
+        if length.limit("frames") <= chains * n_frames:
+            raise InvalidSettingError(f"{small} need {chains * n_frames}, and iterations on top")
         return length
 
     def _check_own(self, name: str, needed: int, n_frames: int) -> None:
@@ -486,7 +461,7 @@ class Length(NamedTuple):
 
     def at_most(self, iterations: int) -> int:
         """Return the most simulations that ``iterations`` iterations take."""
-        return self.chains * (self.sims_at_start + iterations * self.sims_per_step)
+        return self.chains * (1 + iterations * self.sims_per_step)
 
     def limit(self, unit: str) -> float:
         """Return the budget if it is in ``unit``; else inf."""
@@ -552,7 +527,7 @@ class Pace:
         """
         taken = clock() - self._mark
         if initial:
-            taken *= self._length.sims_per_step / max(self._length.sims_at_start, 1)
+            taken *= self._length.sims_per_step
         elif self._first_guess:
             self.recent.clear()
         self._first_guess = initial

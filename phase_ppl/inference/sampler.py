@@ -53,7 +53,6 @@ from phase_ppl.world.errors import (
     SimulationError,
     check_memory,
     check_name,
-    whole_number,
 )
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions
@@ -75,7 +74,7 @@ _NEGLIGIBLE: Final = 16.0
 _OVERTIME: Final = 1.1
 """Overtime, as a share of the budget of seconds plus one second, after which an iteration stops."""
 
-OF_RUNNER: Final = ("executor", "on_failure", "retries", "simulation_seconds")
+OF_RUNNER: Final = ("executor", "on_failure", "simulation_seconds")
 """Options of a run that are the runner's."""
 
 _known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
@@ -106,13 +105,11 @@ class RunOptions:
     iterations: int | None = None
     budget: Budget | None = None
     on_failure: str = "reject"
-    retries: int | None = None
     simulation_seconds: float | None = None
     workers: int | None = None
     executor: Executor | None = None
     progress: bool | None = None
     checkpoint: str | os.PathLike[str] | None = None
-    burn_in: int | None = None
     weights: str | None = None
     # versions that made the run so far, oldest first
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
@@ -122,17 +119,6 @@ class RunOptions:
     def __post_init__(self) -> None:
         if self.weights is not None:
             check_name("weights", self.weights, WEIGHTINGS)
-        if self.burn_in is not None:
-            whole_number("burn_in", self.burn_in, minimum=0)
-            self.check_burn_in(self.iterations)
-
-    def check_burn_in(self, iterations: int | None) -> None:
-        """Raise InvalidSettingError if the burn-in leaves none of the iterations."""
-        # iterations of another type are refused later, by the run's length
-        if isinstance(iterations, int) and (self.burn_in or 0) >= iterations > 0:
-            raise InvalidSettingError(
-                f"burn_in={self.burn_in}, but there are {iterations} iterations: expected fewer"
-            )
 
 
 def sample(
@@ -197,7 +183,6 @@ class Sampler:
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
-        options.check_burn_in(self._length.iterations)
         self._check_memory()
         self._steps = compiled(run.recipe)
         self._state: Any = None
@@ -495,11 +480,7 @@ class Sampler:
                 "iterations": ends.iterations,
                 "budget": ends.budget and dataclasses.astuple(ends.budget),
                 "weights": options.weights,
-                "burn_in": options.burn_in,
-            },
-            "failures": {
                 "on_failure": self._runner.on_failure,
-                "retries": options.retries,
                 "simulation_seconds": options.simulation_seconds,
             },
             "spent": {
@@ -534,12 +515,7 @@ class Sampler:
         if self._options.weights is not None:
             attrs["weights"] = self._options.weights
         records = self._bridge.records
-        tree = build_tree(run.event, run.model, kernel, self._weighed(), records, attrs)
-        if self._options.burn_in is not None:
-            # at least the last draw of an interrupted run counts
-            most = tree["posterior"].sizes["draw"] - 1
-            tree.attrs["burn_in"] = min(self._options.burn_in, most)
-        return Posterior(tree)
+        return Posterior(build_tree(run.event, run.model, kernel, self._weighed(), records, attrs))
 
     def _settings(self) -> dict[str, Any]:
         return {

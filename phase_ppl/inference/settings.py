@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from phase_ppl.inference.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
 from phase_ppl.world.errors import (
+    InvalidEventError,
     InvalidSettingError,
     instance_of,
     nonnegative_number,
@@ -17,7 +17,11 @@ from phase_ppl.world.errors import (
     unknown_name,
     whole_number,
 )
+from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
+
+if TYPE_CHECKING:
+    from phase_ppl.inference.strength import Estimator
 
 Sign = Literal["intended", "printed"]
 Unit = Literal["arena", "printed"]
@@ -84,6 +88,8 @@ class SimpleSettings:
                 f"{', '.join(changed)}: settings of proposal='paper'; give that with them"
             )
         if self.strength is not None:
+            from phase_ppl.inference.strength import strength_estimator
+
             strength_estimator(self.strength)
 
     def settled(self, world: World) -> SimpleSettings:
@@ -92,7 +98,7 @@ class SimpleSettings:
         Raises:
             InvalidSettingError: a part learned in PHASE is asked for in another world.
         """
-        learned = {"proposal": "learned", "strength": DEFAULT_ESTIMATOR}
+        learned = {"proposal": "learned", "strength": "network"}
         usual = learned if world == PHASE else {"proposal": "paper", "strength": "analytic"}
         for name, value in learned.items():
             if getattr(self, name) == value != usual[name]:
@@ -109,6 +115,13 @@ def check_settings(given: object, with_beta: bool = True) -> None:
     instance_of("settings", given, SimpleSettings, "a phase_ppl.SimpleSettings")
     if not with_beta and getattr(given, "beta", None) is not None:
         raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
+
+
+def check_event(given: object) -> Event:
+    """Return ``given`` if it is an event; raise InvalidEventError otherwise."""
+    if not isinstance(given, Event):
+        raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
+    return given
 
 
 BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"

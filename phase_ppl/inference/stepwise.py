@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -15,8 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_file import SCHEMA, dimensions, labels
-from phase_ppl.analysis.stepwise_table import Table, table_of
+from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, labels, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.users_simulator import SimulatorFilter
@@ -37,7 +35,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event, Observation
-from phase_ppl.world.progress import counted, progress_is_shown
+from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
 
@@ -238,7 +236,7 @@ class Watch:
         return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_file`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
@@ -284,9 +282,6 @@ watch = Watch
 
 # --- the whole video ------------------------------------------------------------------------------
 
-_TIMED: Final = 10  # frames after which the time of all is estimated
-_LONG: Final = 60.0  # seconds that are worth saying where no bar is shown
-
 
 class StepwiseInterrupted(KeyboardInterrupt):
     """The reading was interrupted; what was read until then is kept.
@@ -308,15 +303,14 @@ def filtered_frames(
     threads: int | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_file`).
+    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_table`).
 
     Args:
         event: what to explain; only scene, observation and id are read.
         model: prior, and planner or simulator.
         seed, threads: as of :class:`Watch`; by default one per usable core.
         progress: whether to show a bar on stderr, with the time that is left; by default where
-            that is a terminal. Elsewhere one line says how long it will take, if that is more
-            than a minute; with False nothing does.
+            that is a terminal.
     """
     scene, seen = event.scene, event.observation
     options: dict[str, Any] = {"seed": seed, "threads": threads, "event_id": event.id}
@@ -324,27 +318,8 @@ def filtered_frames(
         frames = list(seen.trajectory)
         watching.take(frames[0])
         try:
-            for frame in _timed(frames[1:], progress):
+            for frame in counted(frames[1:], progress, "frame", "reading"):
                 watching.take(frame)
         except KeyboardInterrupt as stop:
             raise StepwiseInterrupted(watching.posterior()) from stop
         return watching.dataset()
-
-
-def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
-    """Yield the frames, and say on stderr how long all of them will take."""
-    if progress is False or progress_is_shown(progress):
-        yield from counted(frames, progress, "frame", "reading")
-        return
-    begun: list[float] = []
-    for index, frame in enumerate(frames):
-        begun.append(time.monotonic())
-        if index == _TIMED:
-            # the median, as whatever is not compiled yet is in the first frames that need it
-            left = float(np.median(np.diff(begun))) * (len(frames) - _TIMED)
-            if left > _LONG:
-                print(
-                    f"reading {len(frames)} more frames takes about {left / 60:.0f} min",
-                    file=sys.stderr,
-                )
-        yield frame

@@ -455,8 +455,6 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = MappingProxyType(
 )
 """By name: the analytic rule, and the paper's network."""
 
-DEFAULT_ESTIMATOR: Final = "network"
-
 
 def strength_estimator(strength: str | Estimator) -> Estimator:
     """Return the estimator of that name, or ``strength`` itself if it is one."""

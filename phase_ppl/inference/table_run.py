@@ -138,7 +138,6 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
     length = Length.of(kernel, run.info, run.chains, wanted, options.budget, run.n_frames)
     each = run.chains * (_DRAW_BYTES + _FRAME_BYTES * run.n_frames)
     n = _iterations(length, run.n_frames, each)
-    options.check_burn_in(n)
     with on_cpu():
         steps, stopped = _drawn(run, data, n, length.limit("seconds"), options, found)
     done = len(steps["sim_seed"]) - 1
@@ -165,9 +164,6 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         "versions": json.dumps(versions()),
     }
     tree = _table_tree(run.event, run.model, run.info, steps, found, attrs)
-    if options.burn_in is not None:
-        # at least the last draw of a run that ended early counts
-        tree.attrs["burn_in"] = min(options.burn_in, tree["posterior"].sizes["draw"] - 1)
     post = Posterior(tree)
     if stopped:
         raise Interrupted(post)

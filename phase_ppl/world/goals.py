@@ -16,7 +16,7 @@ from typing import Final
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import is_on, touches
-from phase_ppl.world.names import RED, Literal, PredicateKind
+from phase_ppl.world.names import Literal, PredicateKind
 from phase_ppl.world.scene import PHASE, Scene, World
 
 __all__ = ["GOALS", "Literal", "goal_literal", "is_true", "possible_goals"]
@@ -137,35 +137,6 @@ def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> boo
 def possible_goals(holder: int, world: World = PHASE) -> list[int]:
     """Return the goals that an agent can have, indices into those of the world."""
     return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
-
-
-def neighbouring_goals(goal: str | int, world: World = PHASE) -> tuple[int, ...]:
-    """Return the goals that differ from ``goal`` in one part.
-
-    The parts are the entity, its place, and whether it shall get there or away. A place is a
-    landmark, another entity or the goal's holder. So "get red agent to red lm" has as neighbours
-    the same goal with another entity or landmark, its negation, and "get to red agent". The
-    relation is symmetric.
-    """
-    parts = _parts(goal_index(goal, world), world)
-
-    def differences(other: int) -> int:
-        return sum(a != b for a, b in zip(parts, _parts(other, world), strict=True))
-
-    return tuple(other for other in range(len(world.goals)) if differences(other) == 1)
-
-
-def _parts(index: int, world: World) -> tuple[int, tuple[PredicateKind, int | None], bool]:
-    """Return a goal's entity, its place, and whether the entity shall get there.
-
-    A place is a landmark or another entity; None: the goal's holder.
-    """
-    literal = goal_literal(index, RED, world)
-    if literal.predicate is not PredicateKind.TOUCH:
-        return literal.subject, (literal.predicate, literal.target), literal.positive
-    if world.goals[index].startswith("get "):
-        return literal.target, (PredicateKind.TOUCH, None), literal.positive
-    return literal.subject, (PredicateKind.TOUCH, literal.target), literal.positive
 
 
 def shared_goal(

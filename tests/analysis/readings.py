@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 from typing import Any
 
@@ -12,6 +13,7 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.stepwise_table import SCHEMA
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
@@ -22,9 +24,9 @@ from tests.agents.scenes import scene
 LEVELS = (300.0, 600.0)
 STRENGTHS = ("strength_red", "strength_green")
 DIMENSIONS = {
-    "log_likelihood": ("time", "goal_red", "goal_green"),
-    "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
-    "strengths": ("time", *STRENGTHS),
+    "log_likelihood": ("time", "read"),
+    "log_likelihood_without": ("planner_seed", "time", "read"),
+    "strengths": ("time", "combination"),
     "log_prior": ("stated_goal_red", "stated_goal_green", "alpha", *STRENGTHS),
     "actions": ("time", "agent", "action"),
     "held": ("time", "agent"),
@@ -32,13 +34,12 @@ DIMENSIONS = {
     "log_peak": ("time",),
     "trajectory": ("time", "entity", "coord"),
 }
-"""Of files of version 2, by pairs of goals."""
 BLUE_TO_RED = goal_index("Get blue item to red lm")
 BLUE_NOT_TO_RED = goal_index("Get blue item away from red lm")
 
 
-def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
-    """Return one of four frames, which come to speak for one pair of goals and against another.
+def by_pairs(planner_seeds: int = 3) -> dict[str, Any]:
+    """Return what four frames say, which come to speak for one pair of goals and against another.
 
     Each of the sets of searches, left out, makes some difference to the rest.
     """
@@ -58,8 +59,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
     prior[red] = prior[:, green] = 0.0
     with np.errstate(divide="ignore"):
         log_prior = np.log(prior / prior.sum())
-    where = scene()
-    columns: dict[str, Any] = {
+    return {
         "log_likelihood": likelihood,
         "log_likelihood_without": without.astype(np.float32),
         "strengths": strengths,
@@ -68,13 +68,23 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
         "held": np.full((n, 2), -1),
         "unexplained": np.zeros(n),
         "log_peak": np.zeros(n),
-        "trajectory": np.repeat(where.start[None], n, axis=0),
-        **changes.pop("columns", {}),
+        "trajectory": np.repeat(scene().start[None], n, axis=0),
     }
-    goals = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
+
+
+def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
+    """Return :func:`by_pairs`, with some other columns, as the closed loop keeps it."""
+    where, found = scene(), {**by_pairs(planner_seeds), **changes.pop("columns", {})}
+    n = len(found["trajectory"])
+    for name in ("log_likelihood", "log_likelihood_without"):
+        found[name] = found[name].reshape(*found[name].shape[:-2], N_GOALS**2)
+    found["strengths"] = found["strengths"].reshape(n, -1)
+    goals = ("stated_goal_red", "stated_goal_green")
     return xr.Dataset(
         {
-            **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
+            **{name: (DIMENSIONS[name], values) for name, values in found.items()},
+            "goals": (("read", "agent"), np.indices((N_GOALS, N_GOALS)).reshape(2, -1).T),
+            "combinations": (("combination", "agent"), list(itertools.product(LEVELS, repeat=2))),
             "start": (("entity", "coord"), where.start),
             "radius": ("entity", where.radius),
             "walls": (("wall", "end", "axis"), where.walls),
@@ -92,7 +102,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
             "coord": ["x", "y", "angle"],
         },
         attrs={
-            "schema": "phase_ppl/stepwise/2",
+            "schema": SCHEMA,
             "event_id": "by hand",
             "weight": 0.5,
             "settings": json.dumps({"seed": 0}),

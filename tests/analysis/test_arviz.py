@@ -27,9 +27,6 @@ from tests.inference.toy import few_goals, walkers
 from .factory import (
     BLUE_TO_RED,
     PINK_TO_BLUE,
-    Simulation,
-    hypothesis,
-    make_tree,
     posterior_of,
     random_tree,
     with_log_weight,
@@ -60,7 +57,6 @@ def post() -> Posterior:
 # --- what is printed is what ArviZ says ----------------------------------------------------------
 
 OPTIONS: dict[str, dict[str, Any]] = {
-    "aies": {"chains": 12},
     "enumerate": {"model": ppl.Model(prior=few_goals, simulator=walkers), "iterations": None}
     | {"strengths": [300.0, 400.0]},
     "smc": {"move": "prior_mh"},
@@ -120,9 +116,8 @@ def agrees(post: Any) -> None:
 def test_arviz_says_what_is_printed_whatever_the_kernel(kernel: str, iterations: int) -> None:
     post = run_of(kernel, iterations)
     agrees(post)
-    for weights in ("stratified", "likelihood"):
-        with contextlib.suppress(InvalidSettingError):  # where proposals have no density
-            agrees(Posterior(post.tree, weights))
+    with contextlib.suppress(InvalidSettingError):  # where proposals have no density
+        agrees(Posterior(post.tree, "stratified"))
 
 
 def test_short_runs_answer_otherwise_than_their_chains() -> None:
@@ -192,7 +187,7 @@ def test_there_are_no_log_likelihoods_and_the_data_say_why(post: Posterior) -> N
 def test_chains_are_summed_up_with_the_effective_sizes_of_the_diagnostics(post: Posterior) -> None:
     data = post.chains
     assert isinstance(data, xr.DataTree if NEW else arviz.InferenceData)
-    assert groups(data) >= {"posterior", "sample_stats", "posterior_predictive", "observed_data"}
+    assert groups(data) >= {"posterior", "sample_stats", "observed_data"}
     assert data.attrs["event_id"] == "made-up"
     found = arviz.summary(data)
     assert list(found.index[:4]) == ["log_joint", "total_error", "strength_red", "strength_green"]
@@ -241,64 +236,7 @@ def test_short_chains_have_a_summary_and_draws_of_unequal_weight_are_no_chains()
         _ = post.chains
 
 
-# --- posterior predictive ----------------------------------------------------------------------
-
-
-def distance(trajectory: xr.DataArray, other: xr.DataArray) -> xr.DataArray:
-    """The distance of all entities in each frame, as the likelihood has it."""
-    off = (trajectory - other).sel(coord=["x", "y"])
-    return np.sqrt((off**2).sum(["entity", "coord"]))  # type: ignore[no-any-return]
-
-
-def of_model(seed: int, beta: float, n_draws: int = 100) -> Posterior:
-    """Equal draws of one simulation, and an observation with the likelihood's noise around it."""
-    tree = make_tree([Simulation(hypothesis(), 0)], [[0] * n_draws])
-    simulated = tree["simulated"]["trajectory"].values[0, 0].astype(float)
-    observed = simulated.copy()
-    rng = np.random.default_rng([seed, 1])
-    observed[..., :2] = ppl.RadialLikelihood(beta).replicate(simulated[..., :2], rng)
-    tree["observed_data"]["trajectory"].values[:] = observed
-    tree["simulated"].attrs["beta"] = beta
-    tree.attrs["settings"] = json.dumps({"seed": seed})
-    return Posterior(tree)
-
-
-@pytest.mark.parametrize("beta", [0.05, 2.0])
-def test_replicates_have_the_noise_of_the_likelihood_and_angles_have_none(beta: float) -> None:
-    post = of_model(0, beta)
-    simulated = post.tree["simulated"]["trajectory"].to_dataset()["trajectory"]
-    replicated = post.arviz["posterior_predictive"]["trajectory"]
-    assert replicated.dims == simulated.dims
-    angle = {"coord": "angle"}
-    np.testing.assert_array_equal(replicated.sel(angle), simulated.sel(angle))
-    drawn, d = distance(replicated, simulated).values, 8
-    error = np.sqrt(d / drawn.size) / beta
-    assert drawn.mean() == pytest.approx(d / beta, abs=4 * error)
-    assert drawn.std() == pytest.approx(np.sqrt(d) / beta, rel=0.15)
-    # no direction is preferred
-    off = (replicated - simulated).sel(coord=["x", "y"]).mean(["chain", "draw", "time"])
-    assert np.abs(off).max() < 4 * np.sqrt(9 / beta**2 / drawn.size)
-
-
-def test_the_noise_follows_from_the_runs_seed_and_from_our_likelihoods_alone() -> None:
-    def noisy(seed: int) -> xr.DataArray:
-        tree = of_model(0, 0.05, n_draws=4).tree
-        tree.attrs["settings"] = json.dumps({"seed": seed})
-        return Posterior(tree).arviz["posterior_predictive"]["trajectory"]
-
-    np.testing.assert_array_equal(noisy(1), noisy(1))
-    assert not np.array_equal(noisy(1), noisy(2))
-    tree = of_model(0, 0.05, n_draws=4).tree
-    tree["simulated"].attrs = {}
-    found = groups(Posterior(tree).arviz)
-    assert "posterior_predictive" not in found
-    assert "observed_data" in found
-
-
 @pytest.mark.skipif(NEW, reason="another package plots in ArviZ 1")
-def test_arviz_draws_chains_and_posterior_predictive_checks() -> None:
-    data, coords = of_model(3, 2.0, n_draws=20).chains, {"coord": ["x", "y"]}
-    assert arviz.plot_ppc(data, coords=coords, random_seed=0) is not None
-    varied = Posterior(random_tree(1, n_draws=40)).chains
-    assert arviz.plot_trace(varied, var_names=["strength_red"]) is not None
+def test_arviz_draws_chains(post: Posterior) -> None:
+    assert arviz.plot_trace(post.chains, var_names=["strength_red"]) is not None
     plt.close("all")

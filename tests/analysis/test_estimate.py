@@ -17,7 +17,6 @@ from phase_ppl.analysis.estimate import (
     Mode,
     doubt,
     leaving_out,
-    sets_to_leave_out,
     shares,
     widened,
 )
@@ -126,21 +125,6 @@ def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() ->
     # as sure as 7 independent draws would be: sum p (1 - p) / sum of squared errors
     by_draws = beta(7 * 5 / 8 + 0.5, 7 * 3 / 8 + 0.5).cdf(0.5)
     assert leads.error == pytest.approx(max(by_chains, by_draws))
-
-
-def test_more_chains_than_can_be_left_out_singly_are_left_out_in_groups() -> None:
-    hypotheses = [hypothesis(strengths=(200.0 + i, 300)) for i in range(320)]
-    post = posterior_of(hypotheses, [[i, i] for i in np.random.default_rng(0).permutation(320)])
-    expected = np.std(np.arange(320), ddof=1) / math.sqrt(320)
-    assert post.mean("strength_red").error == pytest.approx(expected, rel=0.3)
-
-
-@pytest.mark.parametrize("n", [2, 5, 6, 32])
-def test_random_sets_leave_out_a_third(n: int) -> None:
-    sets, factor = sets_to_leave_out(n, 1 / 3)
-    sizes = set(sets.sum(axis=1).tolist())
-    assert sizes == {max(1, n // 3)}
-    assert factor == (n - max(1, n // 3)) / max(1, n // 3)
 
 
 # --- errors against repetitions -----------------------------------------------------------------

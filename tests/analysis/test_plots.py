@@ -23,7 +23,7 @@ from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import ENTITIES
 from tests.evaluation.toys import still
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, hypothesis, posterior_of, random_tree
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, hypothesis, posterior_of
 from .pages import texts_apart
 from .readings import reading
 
@@ -47,7 +47,7 @@ def test_no_text_leaves_the_page_or_covers_another() -> None:
     assert texts_apart(plots.posterior(post)) > 50
 
 
-# --- beliefs and search ---------------------------------------------------------------------------
+# --- beliefs ---------------------------------------------------------------------------
 
 EVENT = ppl.load_event("collaborate")
 
@@ -141,7 +141,7 @@ def many_goals(n_chains: int, n_draws: int, n_goals: int = 20) -> Posterior:
 
 @pytest.mark.parametrize("shape", [(15, 6), (1, 1)])
 def test_no_text_about_chains_leaves_the_page_or_covers_another(shape: tuple[int, int]) -> None:
-    for draw in (plots.diagnostics, plots.goal_map, plots.chains, plots.errors):
+    for draw in (plots.diagnostics, plots.goal_map, plots.errors):
         assert texts_apart(draw(many_goals(*shape))) > 5
 
 
@@ -167,14 +167,6 @@ def test_goal_map_gives_each_goal_its_colour_in_both_panels() -> None:
     assert (image(figure.axes[0]) == to_rgb(OTHER)).all(axis=-1).any()
 
 
-def test_ranks_are_counts_over_what_is_expected() -> None:
-    tree = random_tree(0, n_chains=2, n_draws=4)
-    # the first chain has the four lowest of eight
-    tree["sample_stats"]["log_joint"][:] = [[1, 2, 3, 4], [5, 6, 7, 8]]
-    figure = plots.chains(Posterior(tree))
-    np.testing.assert_allclose(image(figure.axes[1]), [[2, 0], [0, 2]])
-
-
 def test_windows_are_shaded_where_proposals_came_from() -> None:
     given: dict[str, Any] = {"n_frames": 6, "window": [[0, 3], [3, -1]]}
     tree = posterior_of([hypothesis()], [[0, 0], [0, 0]], **given).tree
@@ -182,26 +174,6 @@ def test_windows_are_shaded_where_proposals_came_from() -> None:
     shaded = image(plots.errors(Posterior(tree)).axes[0])[0]
     np.testing.assert_allclose(shaded * 3, [1, 1, 0, 2, 2, 0])
     assert not plots.errors(posterior_of([hypothesis()], [[0, 0]])).axes[0].images
-
-
-def test_acceptance_of_many_iterations_is_drawn_in_stretches() -> None:
-    post = many_goals(4, 100)
-    figure = plots.diagnostics(post)
-    assert texts_apart(figure) > 5
-    axes = figure.axes[-1]
-    rates = np.array(post.diagnostics()["acceptance_by_iteration"])
-    heights = [bar.get_height() for bar in axes.patches]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(heights, rates.reshape(20, 5).mean(axis=1))
-
-
-def test_a_users_real_site_is_a_scalar_and_has_a_trace() -> None:
-    tree = posterior_of([hypothesis()] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
-    assert "mood" not in Posterior(tree).diagnostics()["scalars"]  # of categories
-    for group in ("posterior", "simulations"):
-        tree[group]["mood"] = tree[group]["mood"].astype(float)
-    post = Posterior(tree)
-    assert "mood" in post.diagnostics()["scalars"]
-    assert "mood" in [axes.get_title(loc="left") for axes in plots.chains(post).axes]
 
 
 # --- what a notebook shows ------------------------------------------------------------------------
@@ -231,16 +203,3 @@ def test_posteriors_are_tables_and_figures_show_themselves() -> None:
     assert "<pre" in shown
     assert "simulated s" in str(post)
     assert ppl.plot.over_time(post)._repr_png_().startswith(b"\x89PNG")
-
-
-def test_posteriors_side_by_side() -> None:
-    posts = {"by steps": StepwisePosterior(reading()), "sampled": ppl.Posterior(random_tree(3))}
-    figure = ppl.plot.posteriors(posts)
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == list(posts)
-    labels = [label.get_text() for label in figure.axes[2].get_yticklabels()]
-    bars = figure.axes[2].patches[: len(labels)]  # those of the first
-    shares = dict(zip(labels, (bar.get_width() for bar in bars), strict=True))
-    marginal = posts["by steps"].marginal("relation")
-    assert shares == {name: pytest.approx(float(marginal.sel(relation=name))) for name in labels}
-    with pytest.raises(InvalidSettingError, match="posterior"):
-        ppl.plot.posteriors({"event": EVENT})

@@ -11,7 +11,7 @@ import pytest
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, SCENARIOS
 
@@ -26,17 +26,17 @@ from .factory import (
     make_tree,
     posterior_of,
     random_tree,
+    with_log_weight,
 )
 
 GOAL_SITES = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
 LABELS = dict.fromkeys(GOAL_SITES, GOALS) | {"relation": RELATIONS, "scenario": SCENARIOS}
 LABELS["alpha"] = tuple(map(str, ALPHAS))
-WEIGHTS = ("count", "likelihood")
 
 
-@pytest.fixture(scope="module", params=WEIGHTS)
-def post(request: pytest.FixtureRequest) -> Posterior:
-    return Posterior(random_tree(5, n_chains=6), request.param)
+@pytest.fixture(scope="module")
+def post() -> Posterior:
+    return Posterior(random_tree(5, n_chains=6))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,9 @@ def test_means_intervals_and_entropies(small: Posterior) -> None:
 
 
 def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
-    post = Posterior(random_tree(2, n_chains=8), "likelihood")
+    tree = random_tree(2, n_chains=8)
+    shape = tree["posterior"]["goal_red"].shape
+    post = Posterior(with_log_weight(tree, np.random.default_rng(0).normal(0, 2, shape)))
     table = post.to_dataframe()
     low, high = post.hdi("strength_red", 0.6).values
     assert post.probability(strength_red=(low, high)) >= 0.6 - 1e-9
@@ -145,30 +147,12 @@ def test_replay_is_the_stored_simulation_of_the_map_where_a_chain_kept_it() -> N
     assert (rejected.replay() == 1).all()
 
 
-def test_scenario_and_relation_follow_a_users_own_definition() -> None:
-    tree = random_tree(1)
-    post = Posterior(tree, scenario=lambda *two: "competing" if {*two} <= {*GOALS} else "opposing")
-    assert post.probability(scenario="competing") == 1
-    assert post.probability(relation="adversarial") == 1
-    assert post.map_record()["scenario"] == "competing"
-    with pytest.raises(UnknownNameError, match="rivalry"):
-        Posterior(tree, scenario=lambda red, green: "rivalry")
-
-
-def test_a_site_of_the_users_own_can_be_asked_for_and_may_carry_labels() -> None:
+def test_a_site_of_the_users_own_can_be_asked_for() -> None:
     post = posterior_of([hypothesis()] * 3, [[0, 1, 2, 2]], own_site=[0, 2, 1])
     np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])
     assert post.probability(mood=1, given=RED_BLUE) == pytest.approx(0.5)
     negative = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[-3, 4])
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
-    tree = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[0, 2]).tree
-    attrs = tree["posterior"].dataset["mood"].attrs
-    attrs["flag_meanings"] = '["calm", "keen", "angry"]'
-    np.testing.assert_allclose(Posterior(tree).marginal("mood"), [0.5, 0, 0.5])
-    assert Posterior(tree).probability(mood="angry") == pytest.approx(0.5)
-    attrs["flag_meanings"] = '["calm"]'
-    with pytest.raises(InvalidEventError, match="mood"):
-        Posterior(tree)
 
 
 def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:
@@ -190,16 +174,8 @@ UNKNOWN: dict[str, Any] = {
     "goal_green": lambda post: post.top("gaol_green"),
 }
 TO_RED_AT_ALL, IN_A_GAP = {"goal_red": TO_RED}, {"strength_red": (500, 550)}
-BOTH = {"goal_red": TO_GREEN, "relation": "friendly"}
 IMPOSSIBLE: dict[str, Any] = {
     "no draw of this posterior": lambda post: post.probability(TO_RED_AT_ALL, relation="friendly"),
-    "where goal_red is 'Get blue item to red lm', 'get to green agent'$": (
-        lambda post: post.marginal("relation", given=TO_RED_AT_ALL)
-    ),
-    "where strength_red is between 200 and 600$": (
-        lambda post: post.marginal("relation", given=IN_A_GAP)
-    ),
-    "though each of these alone is possible$": lambda post: post.mean("strength_red", given=BOTH),
     "500": lambda post: post.probability(IN_A_GAP, relation="friendly"),
     "name the event": lambda post: post.probability(),
     "interval": lambda post: post.probability(strength_red=300),

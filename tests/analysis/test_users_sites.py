@@ -192,7 +192,7 @@ def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior
         with pytest.raises((InvalidSettingError, QueryError), match=said):
             ask(*asked)
 
-    again = StepwisePosterior.load(post.save(tmp_path / "x.nc"))
+    again = ppl.load_posterior(post.save(tmp_path / "x.nc"))
     assert again.query("P(same=True)") == post.query("P(same=True)")
     with pytest.raises(InvalidSettingError, match=r"moody, which a file cannot hold.*with_prior"):
         again.query("E[hostile]")

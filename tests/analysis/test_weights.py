@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import log_sum_exp, normalised, truncated
@@ -63,48 +61,26 @@ def test_draws_count_alike_unless_the_kernel_gave_them_weights() -> None:
     weightless = with_log_weight(tree, np.full((2, 3), -np.inf))
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         Posterior(weightless, "count")
-    assert Posterior(weightless, "likelihood").diagnostics()["weighted_draws_ess"] is None
 
 
-def test_likelihood_weighs_each_draw_by_its_own_likelihood_of_the_seed_it_had() -> None:
-    simulations = [
-        Simulation(A, 1, log_likelihood=LOG(0.9)),
-        Simulation(A, 2, log_likelihood=LOG(0.3)),
-        Simulation(B, 3, log_likelihood=LOG(0.1)),
-    ]
-    post = Posterior(make_tree(simulations, [[1, 2, 2]]), "likelihood")
-    # 0.3 against 0.1 + 0.1
-    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4})
-    array(post.tree, "sample_stats", "sim_seed")[0, 1] = 77
-    with pytest.raises(InvalidEventError, match="draw 1 of chain 0 rests on no completed"):
-        Posterior(post.tree, "likelihood")
-
-
-@pytest.mark.parametrize("weights", ["stratified", "likelihood"])
-def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str) -> None:
+def test_weights_survive_log_densities_far_below_the_smallest_float() -> None:
     simulations = [
         Simulation(A, 1, -5000.0, -90000.0),
         Simulation(B, 2, -5000.0, -90000.0 + LOG(3), iteration=1),
     ]
     tree = with_prior(with_densities(make_tree(simulations, [[0, 1]]), 0.0), [(A, 0.5)])
-    shares = np.array([0.25, 0.75])
-    of_a, of_b = shares if weights == "likelihood" else truncated(shares)
-    found = goal_probabilities(Posterior(tree, weights))
+    of_a, of_b = truncated(np.array([0.25, 0.75]))
+    found = goal_probabilities(Posterior(tree, "stratified"))
     assert found == pytest.approx({BLUE_TO_RED: of_a, PINK_TO_BLUE: of_b})
 
 
 def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_close_one() -> None:
     simulations = [Simulation(A, 1, 0.0, LOG(0.9)), Simulation(B, 2, 0.0, LOG(0.1))]
-    tree = make_tree(simulations, [[0, 1]], weights="likelihood")
-    assert Posterior(tree).weights == "likelihood"
-    assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
-    with pytest.raises(UnknownNameError, match="'likelihood'"):
-        Posterior(tree, "likelihod")
-    # of earlier versions
-    assert Posterior(make_tree(simulations, [[0, 1]], weights="visited")).weights == "count"
+    tree = make_tree(simulations, [[0, 1]], weights="stratified")
     tree = with_prior(with_densities(tree, 0.0), [(A, 0.5), (B, 0.5)])
-    tree.attrs["weights"] = "importance"
     assert Posterior(tree).weights == "stratified"
+    with pytest.raises(UnknownNameError, match="'stratified'"):
+        Posterior(tree, "stratifed")
 
 
 def test_weights_that_cannot_be_normalised_are_refused() -> None:
@@ -248,17 +224,6 @@ def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> N
         stratified([Simulation(A, 1, completed=False)], [(A, 1.0)])
 
 
-def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean() -> None:
-    found = truncated(np.array([0.94, 0.02, 0.02, 0.02]))
-    # half of the sum first, then half of the 0.56 that are left
-    np.testing.assert_allclose(found, np.array([0.28, 0.02, 0.02, 0.02]) / 0.34)
-    even = np.full(9, 1 / 9)
-    np.testing.assert_allclose(truncated(even), even)
-    # what answers all of a thousand requests alike is truncated by their number, not by its own
-    few, n_requests = np.array([0.94, 0.05, 0.01]), np.array([9400, 500, 100])
-    np.testing.assert_allclose(truncated(few, n_requests), few)
-
-
 def test_a_burn_in_does_not_count() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1)], [[0, 0, 1, 1], [0, 1, 1, 1]])
     assert goal_probabilities(Posterior(tree, burn_in=2)) == pytest.approx({PINK_TO_BLUE: 1.0})
@@ -361,15 +326,6 @@ def test_a_failed_simulation_counts_for_nothing() -> None:
     np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
 
 
-def test_it_says_that_it_is_hindsight_and_follows_a_users_scenario() -> None:
-    post = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing")
-    found = post.over_time()
-    np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
-    assert "proposed from the whole video" in found.attrs["hindsight"]
-    assert found["time"].attrs["units"] == "s"
-    np.testing.assert_array_equal(found["time"], post.tree["observed_data"]["time"])
-
-
 def test_likelihoods_of_another_shape_or_none_are_named() -> None:
     with pytest.raises(InvalidEventError, match="step_log_likelihood"):
         Posterior(random_tree()).over_time()
@@ -378,14 +334,3 @@ def test_likelihoods_of_another_shape_or_none_are_named() -> None:
     tree["simulations"]["step_log_likelihood"] = renamed
     with pytest.raises(InvalidEventError, match="simulations/step_log_likelihood has dimensions"):
         Posterior(tree)
-
-
-def test_the_figure_draws_what_is_probable_and_names_it(tmp_path: Path) -> None:
-    post = Posterior(tree_by_frame())
-    figure = plots.over_time(post, tmp_path / "over time.png")
-    assert (tmp_path / "over time.png").read_bytes().startswith(b"\x89PNG")
-    assert "Hindsight" in figure.texts[1].get_text()
-    goals, _, relations = ({text.get_text() for text in axes.texts} for axes in figure.axes)
-    assert relations == {"friendly", "neutral", "adversarial"}
-    peak = post.over_time()["goal_red"].max("time").to_series()
-    assert goals - {"all other goals"} == set(peak.nlargest(5)[lambda p: p >= 0.1].index)

@@ -174,7 +174,7 @@ def test_a_file_made_to_do_harm_is_refused_unread(
         with h5py.File(event, "r+") as file:
             change(file)
         with pytest.raises(InvalidEventError, match=f"run.nc: .*{message}") as raised:
-            Posterior.load(posterior)
+            ppl.load_posterior(posterior)
         assert "\n" not in str(raised.value)
         assert message in refused(event)
 
@@ -184,7 +184,7 @@ def test_what_a_terminal_would_obey_is_taken_out_of_a_posterior(posterior: Path)
         del file.attrs["sha256"]
         file.attrs["event_id"] = "one\x1b[2J\x9btwo"
         file.attrs["settings"] = '{"kernel": {"name": "\\u001b[31m"}, "chains": 1}'
-    post = Posterior.load(posterior)
+    post = ppl.load_posterior(posterior)
     assert post.event_id == "one\ufffd[2J\ufffdtwo"
     assert post.settings["kernel"]["name"] == "\ufffd[31m"
 
@@ -379,7 +379,7 @@ FOREIGN: list[tuple[bytes | xr.Dataset, str]] = [
     (_foreign(format="phase-ppl-event-2"), "'phase-ppl-event-2'"),
     (
         _foreign(schema="phase-ppl-posterior-1"),
-        "is a posterior, not an event; phase_ppl.Posterior.load reads it",
+        "is a posterior, not an event; phase_ppl.load_posterior reads it",
     ),
     *(
         (_dropped("event").assign(event=(dims, name)), " is ")

@@ -145,9 +145,9 @@ def test_what_a_simulator_consists_of_is_kept_with_the_run() -> None:
 
 def test_lesions_take_the_options_of_simple_but_for_what_they_change() -> None:
     for name in LESIONS:
-        given = {"kernel": "mixture", "weights": "count", "planner": "paper"}
+        given = {"kernel": "gibbs", "weights": "count", "planner": "paper"}
         made: Any = ready(name, given).predict
-        assert made.options == {"kernel": "mixture", "weights": "count"}
+        assert made.options == {"kernel": "gibbs", "weights": "count"}
         with pytest.raises(UnknownNameError, match="'local_mh'"):
             ready(name, {"kernel": "local_hm"})
     changed = {"no_physics": "simulator", "noisy_physics": "simulator", "no_social_goals": "prior"}

@@ -28,7 +28,7 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
-from phase_ppl.world.worlds import SOLO, TRIO
+from phase_ppl.world.worlds import TRIO
 from tests.inference.runs import assert_same_draws, stops_at
 from tests.inference.tables import EXACT as READ
 from tests.inference.toy import SCENE, never_called, total_variation
@@ -185,16 +185,6 @@ def test_simulations_that_fail_count_as_impossible() -> None:
 # --- other casts ----------------------------------------------------------------------------------
 
 
-def test_a_cast_of_one_has_the_posterior_that_can_be_worked_out() -> None:
-    scene, n = SOLO.random_scene(3), len(SOLO.goals)
-    event = event_of(scene, Hypothesis.of(SOLO, {"red agent": SOLO.goals[1]}, strength=400.0))
-    levels = np.linspace(155, 595, 45)
-    rows = np.array([(g, s) for g in range(n) for s in levels])
-    mass = np.exp(fit(event, rows[:, :1].astype(int), rows[:, 1:])).reshape(n, -1).sum(axis=1)
-    post = infer(event, iterations=15)
-    assert total_variation(post.marginal("goal_red").values, mass / mass.sum()) < 0.05
-
-
 def test_three_agents_are_learned_where_the_table_has_room() -> None:
     truth = {name: CAST.goals[at] for name, at in zip(CAST.agents, (1, 2, 5), strict=True)}
     start = [[8, 10, 0], [18, 8, 0], [12, 18, 0]]
@@ -244,7 +234,7 @@ def test_a_table_without_room_is_refused_in_one_line() -> None:
 # --- where there is nothing to learn from -------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", ["amis", AMIS, AMIS()])
+@pytest.mark.parametrize("kernel", ["amis", AMIS])
 def test_what_was_read_is_summed_and_not_learned(kernel: Any) -> None:
     with pytest.raises(InvalidSettingError, match=r"'amis' learns .* summed exactly") as refused:
         ppl.infer(READ, kernel=kernel, progress=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from typing import Any
 
 import jax
@@ -17,11 +16,10 @@ from jax import lax, random
 
 import phase_ppl as ppl
 from phase_ppl.inference.guide import Guide, bottom_up_guide
-from phase_ppl.inference.kernels.generic_mh import MixtureMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.weighted import Importance
-from phase_ppl.inference.run import Run, model_again
+from phase_ppl.inference.run import Run
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables, window_count
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
@@ -70,17 +68,6 @@ def test_a_small_search_keeps_all_else_that_is_printed() -> None:
     small = ppl.PlannerConfig.named("as_printed_fast")
     assert apart(small, ppl.PlannerConfig.named("as_printed")) == {"simulations", "paired"}
     assert small == ppl.PlannerConfig.fast().as_printed()
-
-
-def test_a_run_as_printed_is_made_again_from_plain_data() -> None:
-    given = ppl.preset("as_printed")
-    model = Model(planner=given["planner"])
-    run = Run(walking_event(), model, "local_mh", {"rule": "paper"}, given["settings"], 15, 0)
-    stored = json.loads(json.dumps(run.again()))
-    assert model_again(stored["model"]).planner_config() == ppl.PlannerConfig.named("as_printed")
-    assert ppl.SimpleSettings(**stored["settings"]) == run.settings
-    before = {k: v for k, v in stored["model"]["planner"].items() if k not in ("cost", "swivel")}
-    assert ppl.PlannerConfig.from_dict(before).cost == "leg", "as files have it that know no other"
 
 
 # --- proposals --------------------------------------------------------------------------------
@@ -169,7 +156,7 @@ def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() 
     "kernel",
     [
         *(lambda *given, rule=rule: LocalMH(*given, rule=rule) for rule in ("exact", "window")),
-        *(MixtureMH, Importance, SMC),
+        *(Importance, SMC),
     ],
 )
 def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior(kernel: Any) -> None:

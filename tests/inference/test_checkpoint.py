@@ -113,7 +113,6 @@ def test_a_complete_run_gives_its_posterior_without_simulating(
     monkeypatch.setattr(sampler, "Runner", stops_at(0))
     before = path.read_bytes()
     assert resume(path).tree["posterior"].sizes["draw"] == 2
-    assert resume(path, weights="count").weights == "count"
     assert path.read_bytes() == before
 
 
@@ -172,7 +171,9 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert again.returncode == 0, again.stderr
     # 12 before the iteration that was cut off, 3 of it, then the rest, and two rivals a chain
     assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8 + 8
-    assert_same_draws(whole.tree, ppl.Posterior.load(tmp_path / "run.nc").tree)
+    post = ppl.load_posterior(tmp_path / "run.nc")
+    assert isinstance(post, ppl.Posterior)
+    assert_same_draws(whole.tree, post.tree)
 
 
 def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None:
@@ -216,15 +217,13 @@ def test_what_is_another_run_is_refused_and_the_file_left_alone(path: Path) -> N
 
 
 def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
-    from phase_ppl.inference.kernels.generic_mh import PriorMH
+    from phase_ppl.inference.kernels.metropolis import PriorMH
 
     path = tmp_path / "run.ckpt"
-    infer(kernel=PriorMH(), iterations=1, weights="count", checkpoint=path)
+    infer(kernel=PriorMH, iterations=1, weights="count", checkpoint=path)
     with pytest.raises(InvalidSettingError, match="kernel prior_mh was given as an object"):
         resume(path)
-    with pytest.raises(InvalidSettingError, match="_early_reject is False, was True"):
-        resume(path, kernel=PriorMH(early_reject=False))
-    assert resume(path, kernel=PriorMH()).tree["posterior"].sizes["draw"] == 1
+    assert resume(path, kernel=PriorMH).tree["posterior"].sizes["draw"] == 1
 
 
 def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(
@@ -326,7 +325,6 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
     "odd settings": rewritten(lambda run, arrays: run["again"].update(settings={"x": 1})),
     "list of settings": rewritten(lambda run, arrays: run["again"].update(settings=[3])),
     "no target": rewritten(lambda run, arrays: run.update(target={})),
-    "no failures": rewritten(lambda run, arrays: run.update(failures={})),
     "odd versions": rewritten(lambda run, arrays: run.update(versions=3)),
     "no numbers": rewritten(no_numbers),
 }

@@ -6,19 +6,14 @@ import dataclasses
 import functools
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
-from jax import random
 from scipy.special import softmax
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_table import table_of
-from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.stepwise import filtered_frames
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables
-from phase_ppl.models import world_priors
-from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
@@ -100,25 +95,9 @@ def test_a_reading_counts_in_the_cost_of_every_run_also_where_it_was_kept() -> N
     options: dict[str, Any] = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
     model = Model(planner=ppl.PlannerConfig(simulations=8, particles=4))
     first, again = (ppl.infer(event, model, **GUIDED, **options) for _ in range(2))
-    own = ppl.infer(event, model, kernel="local_mh", **options)
-    assert first.cost["searches"] == again.cost["searches"] > 0 == own.cost["searches"]
+    assert first.cost["searches"] == again.cost["searches"] > 0
     assert again.cost["seconds_reading"] == first.cost["seconds_reading"] > 0
     assert again.cost["seconds"] > again.cost["seconds_reading"]
-
-
-def test_guide_has_its_density_and_draws_what_can_be() -> None:
-    space, n = space_of(PAIR), 4000
-    model = Model(prior=world_priors.uniform, simulator=never_called).in_world(PAIR)
-    guide = bottom_up_guide(model.prior, model.sites, tables_of(PAIR), prior_share=0.1)
-    drawn = compiled_quickly(jax.vmap(lambda key: draw(guide, key, 0)))(
-        random.split(random.key(0), n)
-    )
-    assert all((np.asarray(drawn[name]) < most).all() for name, most in space.limits.items())
-    share = np.bincount(drawn[space.company_site], minlength=len(space.ways)) / n
-    expected = 0.9 * proposed_ways(PAIR, 0) + 0.1 * prior_of_ways(PAIR)
-    np.testing.assert_allclose(share, expected, atol=0.03)
-    densities = compiled_quickly(jax.vmap(lambda sites: log_density(guide, sites, 0)))
-    assert np.isfinite(np.asarray(densities(drawn))).all()
 
 
 def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
@@ -135,12 +114,12 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
 
 def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", never_called)
-    for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
-        with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
+    for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}):
+        with pytest.raises(ppl.PhasePPLError, match=r"too small|papr"):
             ppl.infer(unread(5), **GUIDED, chains=2, workers=1, progress=False, **wrong)
     table = ppl.Model(likelihood=ppl.StepwiseLikelihood())
-    for wrong in ({"iterations": 6, "burn_in": 7}, {"rull": 1}):
-        with pytest.raises(ppl.PhasePPLError, match=r"burn_in=7|rull"):
+    for wrong in ({"rull": 1},):
+        with pytest.raises(ppl.PhasePPLError, match="rull"):
             ppl.infer(unread(5), table, kernel="prior_mh", progress=False, **wrong)
 
 

@@ -9,14 +9,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
-from jax import random
 from numpy.typing import NDArray
 
-import phase_ppl as ppl
-from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH
 from phase_ppl.inference.kernels.local_mh import (
     EXACT_RULES,
     RULES,
@@ -27,15 +22,14 @@ from phase_ppl.inference.kernels.local_mh import (
     log_before,
     log_window_choice,
 )
-from phase_ppl.inference.kernels.metropolis import log_ratio
+from phase_ppl.inference.kernels.metropolis import PriorMH, log_ratio
 from phase_ppl.inference.run import Run
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import UnknownNameError
 from tests.inference.toy import (
     SETTINGS,
     TableRunner,
-    run,
     table_errors,
     table_program,
     total_variation,
@@ -44,7 +38,6 @@ from tests.inference.toy import (
 )
 
 ERRORS = table_errors()
-KEYS = random.split(random.key(0), 2)
 
 
 # --- arrays that are longer than the observation ----------------------------------------------
@@ -75,17 +68,7 @@ def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observati
     own.check(1, None)
     unknown = made(20, kernel=lambda program: PriorMH(program))
     assert own.recipe[-1] == unknown.recipe[-1] == 20
-    assert made(20, kernel=PriorMH()).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
-
-
-def test_windows_that_there_are_not_are_never_chosen() -> None:
-    errors = np.random.default_rng(3).gamma(2.0, 3.0, 20).astype(np.float32)
-    exact = log_window_choice(jnp.asarray(errors), 0.3, 4)
-    longer = log_window_choice(jnp.asarray(np.pad(errors, (0, 44))), 0.3, 4, len(exact))
-    np.testing.assert_array_equal(longer[: len(exact)], exact)
-    assert np.isneginf(longer[len(exact) :]).all()
-    for key in random.split(KEYS[0], 5):
-        assert random.categorical(key, longer) == random.categorical(key, exact)
+    assert made(20, kernel=PriorMH).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
 
 
 # --- the rules, on a chain so small that its transition matrix can be written down ---------------
@@ -176,34 +159,7 @@ def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows() -> N
             assert after <= log_after_bound(rule, log_q) + 1e-5
 
 
-VALUES, SHARES = (150.0, 300.0, 620.5), (0.2, 0.5, 0.3)
-
-
-def unequal_strengths() -> None:
-    ppl.sites.goals()
-    ppl.sites.alpha()
-    numpyro.sample("strength_red", ppl.sites.OneOf(VALUES, SHARES))
-    numpyro.sample("strength_green", dist.Gamma(4.0, 0.02))
-
-
-def test_strengths_of_few_values_and_of_no_upper_end_are_walked_as_the_prior_has_them() -> None:
-    runner = TableRunner(np.zeros_like(ERRORS))  # nothing is known but the prior
-    program, _bridge = table_program(runner, unequal_strengths)
-    states = run(RandomWalkMH(program, scale=100.0), 50, random.split(KEYS[0], 250))
-    red, green = (np.asarray(states.z[name])[20:] for name in ("strength_red", "strength_green"))
-    assert [(red == value).mean() for value in VALUES] == pytest.approx(SHARES, abs=0.04)
-    assert (green.mean(), green.std()) == pytest.approx((200.0, 100.0), rel=0.08)
-
-
-# --- options -----------------------------------------------------------------------------------
-
-
 def test_what_cannot_be_is_refused() -> None:
+    program, _bridge = table_program(TableRunner(ERRORS))
     with pytest.raises(UnknownNameError, match="rule"):
-        LocalMH(rule="papr")  # type: ignore[arg-type]
-    with pytest.raises(InvalidSettingError, match="scale"):
-        RandomWalkMH(scale=0)
-    with pytest.raises(InvalidSettingError, match="local_share"):
-        MixtureMH(local_share=1.5)
-    with pytest.raises(InvalidSettingError, match="LocalMH has no program"):
-        _ = LocalMH().program
+        LocalMH(program, rule="papr")  # type: ignore[arg-type]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,18 +57,3 @@ def test_it_is_the_sum_over_all_hypotheses_within_its_error(kernel: str) -> None
     error = 0.25 if kernel == "smc" else found.error  # one population does not tell it
     assert 0 < error < 0.5
     assert found == pytest.approx(exact(), abs=3 * error)
-
-
-@pytest.mark.slow
-def test_models_are_compared_by_it_event_by_event(tmp_path: Path) -> None:
-    wider = ppl.Model(prior=few_goals, simulator=stands, likelihood=ppl.RadialLikelihood(0.1))
-    how: dict[str, Any] = {"kernel": "importance", "chains": 30, "iterations": 8, "workers": 1}
-    for name, model in {"near": MODEL, "wide": wider}.items():
-        ppl.evaluate(event(), model, out=tmp_path / name, progress=False, **how)
-    folders = {"near": tmp_path / "near", "wide": tmp_path / "wide"}
-    table = ppl.compare_models(folders).evidence().set_index("model")
-    near, wide = table.loc["near"], table.loc["wide"]
-    assert near["log_evidence"] == pytest.approx(exact(), abs=3 * near["error"])
-    assert near["difference"] == near["difference_error"] == 0
-    assert wide["difference"] == wide["log_evidence"] - near["log_evidence"] < -10
-    assert wide["difference_error"] == pytest.approx(np.hypot(near["error"], wide["error"]))

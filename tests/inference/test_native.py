@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 from collections.abc import Iterator
 from typing import Any
@@ -15,15 +14,11 @@ import pytest
 from jax import random
 from numpyro import handlers
 from numpyro.infer import AIES, MCMC, NUTS, SA, DiscreteGibbs, Predictive
-from numpyro.infer.inspect import get_model_relations
 from numpyro.infer.util import log_density
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.native import OpenProgram
-from phase_ppl.inference.tables import window_count
-from phase_ppl.models.density import NO_DENSITY
-from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.simulator.contract import SimulationResult, Statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
 from tests.inference.runs import EVENT, MODEL, OPTIONS
@@ -130,21 +125,6 @@ def test_handlers_set_what_is_simulated(program: OpenProgram) -> None:
     assert np.isinf(trace["step_error"]["value"]).all()
 
 
-def test_a_picture_of_the_program_shows_what_depends_on_what(program: OpenProgram) -> None:
-    found = get_model_relations(program)
-    assert found["observed"] == ["trajectory"]
-    assert set(found["sample_sample"]["trajectory"]) == {"sim_seed", *program.model.sites}
-
-
-def test_many_traces_are_one_batch_of_simulations(program: OpenProgram) -> None:
-    def errors(key: jax.Array) -> jax.Array:
-        trace = handlers.trace(handlers.seed(program, key)).get_trace()
-        return trace["step_error"]["value"]
-
-    jax.vmap(errors)(random.split(KEY, 7))
-    assert [len(batch) for batch in program._runner.batches] == [7]
-
-
 def test_fixed_noise_is_no_site(program: OpenProgram) -> None:
     with opened(ppl.Model(prior=few_goals, simulator=never_called, noise="fixed")) as fixed:
         for key in random.split(KEY, 2):
@@ -162,18 +142,6 @@ def test_fixed_noise_is_no_site(program: OpenProgram) -> None:
 
 def drawn(model: Any, key: jax.Array, given: Any = None) -> Any:
     return handlers.trace(handlers.seed(handlers.substitute(model, given or {}), key)).get_trace()
-
-
-def test_the_guide_draws_from_a_window_or_from_the_whole_video(program: OpenProgram) -> None:
-    guide = program.guide
-    assert guide.whole == window_count(N_FRAMES, SETTINGS.window)
-    for window in (0, guide.whole):
-        z = guide.draw(KEY, window)
-        log_q = guide.log_prob(z, window)
-        assert log_q >= np.log(SETTINGS.prior_share) + program.log_prior(z) - 1e-4
-        assert guide.log_prob({**z, "goal_red": jnp.int32(1)}, window) < NO_DENSITY
-    with pytest.raises(InvalidSettingError, match="LocalMH needs a guide"):
-        _ = ppl.kernels.LocalMH(ppl.EventProgram(FEW, 0, N_FRAMES)).guide
 
 
 # --- kernels --------------------------------------------------------------------------------------
@@ -351,11 +319,6 @@ def test_what_ends_a_simulation_leaves_the_with_block_as_what_it_was(
     assert program._runner.closed
 
 
-def test_another_error_in_the_block_stays_what_it_is() -> None:
-    with pytest.raises(ZeroDivisionError), opened():
-        _ = 1 / 0
-
-
 def test_workers_end_with_the_block_and_simulations_stay() -> None:
     with ppl.program(EVENT, MODEL, workers=2) as program:
         runner = program._runner
@@ -401,19 +364,3 @@ def test_a_prior_can_be_stepped_through_in_infer_and_in_mcmc() -> None:
         post = ppl.infer(EVENT, model, **{**OPTIONS, **few})
         assert seen
     assert post.tree["posterior"].sizes["draw"] == 1
-
-
-@pytest.mark.slow
-def test_a_kernel_that_is_stepped_through_weighs_numbers() -> None:
-    seen: list[bool] = []
-
-    class Watched(RadialLikelihood):
-        def log_prob(self, errors: Any) -> Any:
-            seen.append(isinstance(errors, jax.core.Tracer))
-            return super().log_prob(errors)
-
-    model = dataclasses.replace(MODEL, likelihood=Watched())
-    with jax.disable_jit():
-        ppl.infer(EVENT, model, **{**OPTIONS, "kernel": "smc", "chains": 2, "iterations": 1})
-    assert seen
-    assert not any(seen)

@@ -13,7 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
-from phase_ppl.inference.entries import entries
+from phase_ppl.inference.compare import entries
 from phase_ppl.inference.run import Run
 from phase_ppl.inference.settings import PRESETS, completed
 from phase_ppl.models.predicate import INDEPENDENT, PredicateSettings
@@ -97,8 +97,8 @@ def test_compare_takes_presets_for_kernels() -> None:
     assert {one.info.name for one in found} == {"local_mh"}
     printed, _, simple, guided = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
-    # whole: its planner, its weights and its length too
-    assert printed.own == {"planner": "as_printed", "weights": "count", "iterations": 6}
+    # whole: its planner and its length too
+    assert printed.own == {"planner": "as_printed", "iterations": 6}
     assert (simple.options, simple.chains, simple.own) == ({}, 7, {})
     assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
     (shorter,) = entries({"few": ("as_printed", {"iterations": 2})}, 7, ppl.SimpleSettings())
@@ -114,7 +114,7 @@ def test_open_settings_are_settled_by_the_world_alone() -> None:
         return found.proposal, found.strength
 
     noisy = ppl.Model(simulator=ppl.JointSimulator(noise=DynamicsNoise()))
-    for kernel in ("local_mh", "mixture", "prior_mh"):
+    for kernel in ("local_mh", "prior_mh"):
         assert settled(event, ppl.Model(), kernel) == ("paper", "analytic")
         for model in (ppl.Model(), ppl.Model(simulator=walkers), noisy):
             assert settled(walking_event(), model, kernel) == ("learned", "network")

@@ -154,8 +154,6 @@ def helpful_moods() -> None:
     [
         priors.uniform,
         helpful_moods,
-        pytest.param(priors.strength_levels, marks=pytest.mark.slow),
-        pytest.param(priors.relation_first, marks=pytest.mark.slow),
     ],
 )
 def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> None:

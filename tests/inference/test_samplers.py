@@ -14,7 +14,7 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.kernels.smc import SMC, Tempered
+from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.weighted import (
     Enumeration,
     Importance,
@@ -23,10 +23,9 @@ from phase_ppl.inference.kernels.weighted import (
 )
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import compiled_quickly
-from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from tests.inference.toy import (
     ALPHA_CODES,
     GREEN_GOALS,
@@ -59,27 +58,18 @@ def keys(n: int) -> jax.Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "steps", "allowed"), [("sa", 500, 0.12), ("aies", 400, 0.09), ("gibbs", 100, 0.09)]
-)
-def test_numpyros_samplers_reach_the_enumerated_posterior(
-    name: str, steps: int, allowed: float
-) -> None:
+def test_numpyros_gibbs_reaches_the_enumerated_posterior() -> None:
     """The total variation that is allowed is twice what such a run gives."""
     program, bridge = table_program(TableRunner(ERRORS))
-    kernel: Any = kernel_info(name).make(program)
-    states = run(kernel, steps, keys(60))
+    kernel: Any = kernel_info("gibbs").make(program)
+    states = run(kernel, 100, keys(60))
     z = {site: np.asarray(v)[len(v) // 2 :] for site, v in states.z.items()}
-    assert total_variation(visited_share(z), EXACT) < allowed
+    assert total_variation(visited_share(z), EXACT) < 0.09
     strength = z["strength_red"]
     assert strength.mean() == pytest.approx(375, abs=25)
     assert strength.std() == pytest.approx(450 / np.sqrt(12), abs=25)
-    per_step = getattr(kernel, "sims_per_step", kernel_info(name).sims_per_step)
-    promised = 60 * (getattr(kernel, "sims_at_start", 1) + steps * per_step)
     # compiled code may round a site so differently that its simulation is not known again
-    assert len(bridge.records) <= 1.001 * promised
-    if name == "sa":
-        assert len(bridge.records) > 0.99 * promised
+    assert len(bridge.records) <= 1.001 * 60 * (1 + 100 * kernel.sims_per_step)
 
 
 def test_importance_weights_lead_to_the_enumerated_posterior() -> None:
@@ -114,14 +104,6 @@ def test_a_population_is_cooled_to_the_posterior_and_estimates_the_evidence(move
     np.testing.assert_allclose(first.log_weight, expected, atol=1e-3)
     evidence = [float(state.log_evidence[0]) for state in (first, last)]
     assert evidence == pytest.approx([exact_log_evidence(ERRORS)] * 2, abs=0.1)
-
-
-def test_a_tempered_likelihood_allows_the_error_at_which_it_reaches_the_floor() -> None:
-    for temperature in (0.25, 1.0):
-        tempered = Tempered(RadialLikelihood(), jnp.array(temperature))
-        error = tempered.max_total_error(-200.0, 4)
-        assert tempered.log_prob(np.full(4, error / 4)).sum() == pytest.approx(-200, rel=1e-4)
-    assert Tempered(RadialLikelihood(), jnp.array(0.0)).max_total_error(-200.0, 4) == np.inf
 
 
 def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
@@ -190,8 +172,6 @@ def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:
         ("enumerate", {"strengths": [300.0, 400.0]}, 44, 8),
         ("gibbs", {"iterations": 2}, 54, 2),
         ("smc", {"iterations": 3}, 24, 1),
-        ("sa", {"iterations": 2, "pool": 3}, 30, 2),
-        ("aies", {"iterations": 2, "chains": 12}, 36, 2),
         ("importance", {"iterations": 2}, 18, 3),
         ("amis", {"iterations": 2}, 18, 3),
     ],
@@ -202,7 +182,7 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
     model = Model(prior=few_goals, simulator=walkers)
     given: dict[str, Any] = {"chains": 6, "workers": 1, "progress": False, **options}
     post, info = ppl.infer(EVENT, model, kernel=kernel, **given), kernel_info(kernel)
-    again = ppl.Posterior.load(post.save(tmp_path / "run.nc"))
+    again = ppl.load_posterior(post.save(tmp_path / "run.nc"))
     assert str(again) == str(post)
     assert post.tree["posterior"].sizes["draw"] == draws
     assert post.cost["simulations"] <= most
@@ -243,27 +223,6 @@ def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "relation_first",
-        "strength_levels",
-        "correlated_strengths",
-        "sparse_social",
-        "symmetric_alphas",
-    ],
-)
-def test_infer_runs_with_each_ready_made_prior(name: str) -> None:
-    kernel = "local_mh" if name in ("relation_first", "strength_levels") else "prior_mh"
-    options: dict[str, Any] = {"chains": 3, "iterations": 1, "workers": 1, "progress": False}
-    post = ppl.infer(EVENT, Model(prior=name, simulator=walkers), kernel=kernel, **options)
-    assert post.settings["model"]["prior"].endswith(name)
-    assert np.isfinite(post.tree["simulations"]["log_prior_effective"]).all()
-    if name == "strength_levels":
-        assert np.isin(post.tree["posterior"]["strength_red"], STRENGTH_LEVELS).all()
-
-
 # --- what is refused ---------------------------------------------------------------------------
 
 
@@ -275,18 +234,11 @@ def counted() -> None:
 @pytest.mark.parametrize(
     ("kernel", "options", "message"),
     [
-        ("aies", {"chains": 15}, r"chains=15.*even.*16"),
-        ("aies", {"chains": 10}, r"chains=10.*12"),
-        ("sa", {"prior": counted}, "'mood'.*Poisson.*inverse"),
-        ("sa", {"pool": 1}, "pool=1"),
         ("gibbs", {"prior": counted}, "'mood'.*Poisson"),
-        ("gibbs", {"step": 0}, "step=0"),
-        ("enumerate", {"noise_seeds": 10}, r"\d+ simulations, more than .*50000"),
+        ("enumerate", {"strengths": [*range(150, 600, 40)]}, r"\d+ hypotheses .*more than 50000"),
         ("enumerate", {"prior": counted}, "mood.*enumerated"),
         ("enumerate", {"prior": few_goals, "strengths": [900.0]}, r"no mass.*900"),
         ("enumerate", {"strengths": []}, "strengths="),
-        ("enumerate", {"noise_seeds": 2, "noise": "fixed"}, "noise='fixed'"),
-        ("smc", {"target": 1.0}, "target=1.0"),
         ("smc", {"move": "prior"}, "prior_mh"),
     ],
 )

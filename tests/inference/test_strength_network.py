@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
-import itertools
 import json
 import sys
 from pathlib import Path
@@ -11,23 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from strength_training import (
-    VALIDATION_JITTER,
-    VALIDATION_LENGTHS,
     Simulated,
-    TrainingSettings,
     blurred,
-    cached_events,
     main,
-    needs_torch,
     quality,
     simulate_events,
-    train,
 )
 
 from phase_ppl.data.load import bundled_events, load_event
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.strength import (
-    ESTIMATORS,
     N_FEATURES,
     SHAPES,
     StrengthEstimates,
@@ -135,14 +126,6 @@ def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sur
     assert (blur > 2 * clear).all()
 
 
-def test_every_estimator_takes_the_shortest_observations() -> None:
-    for name, n_frames in itertools.product(ESTIMATORS, (2, 3)):
-        seen = Observation(TRAJECTORY[:n_frames])
-        tables = bottom_up_tables(EVENT.scene, seen, SimpleSettings(strength=name))
-        assert np.isnan(tables.strength).all() or np.isfinite(tables.strength).all()
-        np.testing.assert_array_equal(np.isnan(tables.strength), np.isnan(tables.strength_sd))
-
-
 # --- files of weights --------------------------------------------------------------------------
 
 
@@ -220,24 +203,7 @@ def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, messa
 # --- quality -----------------------------------------------------------------------------------
 
 
-def test_quality_is_that_of_the_prior_without_an_estimate_and_of_a_known_normal_law() -> None:
-    truth = np.linspace(150, 600, 1000)[:, None]
-    nothing = np.full(truth.shape, np.nan)
-    prior = quality(StrengthEstimates(nothing, nothing), truth)
-    assert prior.share == 0
-    assert prior.log_mixture == pytest.approx(prior.log_density)
-    assert prior.log_density == pytest.approx(PRIOR_LOG_DENSITY, abs=1e-6)
-    assert prior.rmse == pytest.approx(450 / np.sqrt(12), rel=0.01)
-    truth, same = np.random.default_rng(0).normal(375, 30, (4000, 1)), np.ones((4000, 1))
-    known = quality(StrengthEstimates(375 * same, 30 * same), truth)
-    assert known.log_density == pytest.approx(-0.5 - np.log(30 * np.sqrt(2 * np.pi)), abs=0.05)
-    assert known.log_density - 0.12 < known.log_mixture < known.log_density
-    assert (known.rmse, known.coverage) == (pytest.approx(30, 0.05), pytest.approx(0.683, 0.05))
-
-
 # --- training -------------------------------------------------------------------------------------
-
-SETTINGS = TrainingSettings(events=20, frames=16, rounds=1, epochs=3, batch=16)
 
 
 def driving(n: int = 20, frames: int = 16) -> Simulated:
@@ -250,49 +216,8 @@ def driving(n: int = 20, frames: int = 16) -> Simulated:
     return Simulated(trajectory, np.full((n, 4), 0.8), strength)
 
 
-def test_simulated_events_are_the_same_for_the_same_seed_and_kept(tmp_path: Path) -> None:
-    kept = cached_events(tmp_path / "events.npz", 3, 6, seed=0)
-    assert kept.trajectory.shape == (3, 6, 4, 3)
-    fewer, read = simulate_events(2, 6, 0), cached_events(tmp_path / "events.npz", 3, 6, 0)
-    for whole, first, copy in zip(kept, fewer, read, strict=True):
-        np.testing.assert_array_equal(whole[:2], first)  # each has a seed of its own
-        np.testing.assert_array_equal(whole, copy)
-    with pytest.raises(InvalidSettingError, match=r"'seed': 0.*not of.*'seed': 4"):
-        cached_events(tmp_path / "events.npz", 3, 6, 4)
-
-
-def test_settings_too_small_to_train_are_refused() -> None:
-    for change in ({"events": 2}, {"frames": 5}, {"epochs": 0}):
-        with pytest.raises(InvalidSettingError, match=f"{next(iter(change))}="):
-            dataclasses.replace(SETTINGS, **change)
-
-
-def test_training_without_torch_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(InvalidSettingError, match=r"phase_ppl\[neural\]"):
-        needs_torch()
-    with pytest.raises(SystemExit, match="2"):
-        main([str(tmp_path)])
-    assert "phase_ppl[neural]" in capsys.readouterr().err
-
-
 HAS_TORCH = importlib.util.find_spec("torch") is not None
 with_torch = pytest.mark.skipif(not HAS_TORCH, reason="PyTorch, the extra neural, is not installed")
-
-
-@with_torch
-def test_training_learns_and_repeats_itself() -> None:
-    network, report = train(driving(), SETTINGS)
-    curve = report["curves"]["training"]
-    assert curve[-1] < curve[0]
-    assert len(report["validation"]) == len(VALIDATION_JITTER) * len(VALIDATION_LENGTHS)
-    again, _ = train(driving(), SETTINGS)
-    other, _ = train(driving(), dataclasses.replace(SETTINGS, seed=1))
-    features = np.random.default_rng(0).normal(size=(5, N_FEATURES))
-    np.testing.assert_array_equal(network.outputs(features), again.outputs(features))
-    assert np.abs(network.outputs(features)[0] - other.outputs(features)[0]).max() > 1e-3
 
 
 @with_torch

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,10 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import Marginals, distances, marginals
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.entries import entries
 from phase_ppl.inference.reference import POPULATIONS, Reference, reference_of
 from phase_ppl.inference.table_run import event_of, model_of
 from phase_ppl.world.errors import InvalidSettingError
-from tests.inference.tables import EXACT, NAMES, sampled, skewed
+from tests.inference.tables import EXACT, NAMES, skewed
 from tests.inference.toy import few_goals
 
 COMPARED: dict[str, Any] = {
@@ -59,24 +57,6 @@ def test_kernels_are_compared_with_what_is_exact() -> None:
     assert curve["simulations"].max() == 6_060
 
 
-def test_a_run_of_a_comparison_is_one_of_infer() -> None:
-    row = compared().runs.iloc[0]
-    post = sampled(iterations=None, budget=COMPARED["budget"], seed=int(row["seed"]))
-    assert distances(marginals(post), marginals(EXACT))["tv_goals"] == pytest.approx(
-        row["tv_goals"], abs=1e-9
-    )
-
-
-@pytest.mark.parametrize("likelihood", [None, ppl.StepwiseLikelihood(planner_seeds=1)])
-def test_what_was_read_with_other_settings_is_compared(likelihood: Any) -> None:
-    how = {**ppl.StepwiseLikelihood(planner_seeds=1).to_dict(), "weight": 0.2}
-    settings = json.dumps({**EXACT.settings, "likelihood": how})
-    read = StepwisePosterior(EXACT.dataset.assign_attrs(settings=settings), prior=EXACT.prior)
-    model = None if likelihood is None else ppl.Model(likelihood=likelihood)
-    found = ppl.compare(read, model, **{**COMPARED, "kernels": ["prior_mh"], "repeats": 1})
-    assert found.runs["tv_goals"][0] < 0.15
-
-
 def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:
     few: dict[str, Any] = {**COMPARED, "kernels": ["prior_mh"], "repeats": 1}
     few["checkpoint"] = tmp_path / "runs.json"
@@ -113,16 +93,13 @@ def test_a_video_is_read_once_for_all_kernels_and_repeats(
 # --- a reference that is not exact ---------------------------------------------------------------
 
 
-def reference(seed: int, settings: ppl.SimpleSettings) -> dict[str, Any]:
-    spec = ("smc", {"move": "prior_mh", "chains": 50, "budget": ppl.simulations(800)})
-    among = entries(["prior_mh"], 15, settings)
-    event, budget = event_of(EXACT), ppl.simulations(100)
-    asked = Reference.asked_for(spec, event, budget, 15, settings, "count", among)
-    return reference_of(asked, event, model_of(EXACT, None), EXACT, seed, workers=1)
+def reference(seed: int) -> dict[str, Any]:
+    asked = Reference(ppl.simulations(800), ppl.SimpleSettings(), particles=50)
+    return reference_of(asked, event_of(EXACT), model_of(EXACT, None), EXACT, seed, workers=1)
 
 
 def test_populations_say_how_far_they_differ_from_seed_to_seed() -> None:
-    found = [reference(seed, ppl.SimpleSettings()) for seed in range(4)]
+    found = [reference(seed) for seed in range(4)]
     assert (
         f"as {POPULATIONS} independent populations weighed by their evidence"
         in (found[0]["description"])

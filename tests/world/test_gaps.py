@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.diagnostics import of_tracks
+from phase_ppl.analysis.verdict import of_tracks
 from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.simulator.contract import simulate_one
 from phase_ppl.world.errors import AnswerError, InvalidEventError

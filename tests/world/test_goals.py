@@ -18,12 +18,10 @@ from phase_ppl.world.goals import (
     goal_literal,
     is_self_referring,
     literal_goal,
-    neighbouring_goals,
 )
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, PredicateKind
-from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.worlds import SOLO, TRIO
+from phase_ppl.world.scene import PHASE
 from tests.world.examples import DEV, needs_dev
 
 PAPER = [
@@ -101,25 +99,3 @@ def test_effective_goals_of_all_pairs(alpha: tuple[int, int]) -> None:
         if alpha[1]:
             expected[1] = (helped if alpha[1] > 0 else hindered)(red, RED)
         assert [GOALS[g] for g in effective_goals(red, green, alpha)] == expected
-
-
-def test_neighbouring_goals_differ_in_one_thing() -> None:
-    names = {GOALS[g] for g in neighbouring_goals("Get red agent to red lm")}
-    assert names == {
-        "Get red agent away from red lm",
-        *(f"Get red agent to {colour} lm" for colour in ("blue", "green", "yellow")),
-        *(f"Get {entity} to red lm" for entity in ("green agent", "blue item", "pink item")),
-        "get to red agent",
-    }
-
-
-@pytest.mark.parametrize("world", [PHASE, SOLO, TRIO], ids=lambda world: world.name)
-def test_every_goal_is_reached_over_neighbours_and_the_way_back_exists(world: World) -> None:
-    neighbours = {goal: set(neighbouring_goals(goal, world)) for goal in range(len(world.goals))}
-    for goal, near in neighbours.items():
-        assert goal not in near
-        assert all(goal in neighbours[other] for other in near)
-    reached = {0}
-    while new := set().union(*(neighbours[g] for g in reached)) - reached:
-        reached |= new
-    assert reached == set(neighbours)

@@ -15,7 +15,6 @@ from phase_ppl.world.goals import (
     goal_literal,
     is_true,
     literal_goal,
-    neighbouring_goals,
     opposed_goal,
     planned_as,
     possible_goals,
@@ -74,7 +73,6 @@ def test_literals_of_ones_own_are_of_one_goal_whoever_holds_it() -> None:
     assert shared_goal(yes, 0, world=world) == yes
     assert opposed_goal(yes, 0, world=world) == no
     assert opposed_goal(no, 1, world=world) == yes
-    assert no in neighbouring_goals(yes, world)
     assert world.words(goal_literal(no, 0, world)) == "not agents near"
 
 

@@ -85,7 +85,7 @@ def test_an_unknown_name_gets_close_ones() -> None:
 
 
 def test_what_is_ours_is_there_sorted_and_says_what_it_is() -> None:
-    assert {"enumerated_gibbs", "local_mh", "prior_mh"} <= set(ppl.available_kernels())
+    assert {"gibbs", "local_mh", "prior_mh"} <= set(ppl.available_kernels())
     assert {"simple", "last_frame"} <= set(ppl.available_models())
     for registry in (KERNELS, MODELS, FAMILIES):
         assert registry.names() == sorted(registry.entries)

@@ -7,15 +7,20 @@ with ``new_figure`` and ends with ``written``.
 """
 
 from phase_ppl.analysis.figures.beliefs import beliefs, search
-from phase_ppl.analysis.figures.curves import comparison, data_card, sensitivity, training_curves
-from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
+from phase_ppl.analysis.figures.curves import (
+    comparison,
+    data_card,
+    diagnostics,
+    errors,
+    goal_map,
+    training_curves,
+)
 from phase_ppl.analysis.figures.over_time import over_time, why
-from phase_ppl.analysis.figures.posterior import posterior, posteriors
+from phase_ppl.analysis.figures.posterior import posterior
 from phase_ppl.analysis.figures.style import in_style, new_figure, written
 
 __all__ = [
     "beliefs",
-    "chains",
     "comparison",
     "data_card",
     "diagnostics",
@@ -25,9 +30,7 @@ __all__ = [
     "new_figure",
     "over_time",
     "posterior",
-    "posteriors",
     "search",
-    "sensitivity",
     "training_curves",
     "why",
     "written",

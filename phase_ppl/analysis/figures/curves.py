@@ -1,9 +1,10 @@
-"""Kernels over simulations, posteriors over priors, trainings, and sets of events."""
+"""Figures of kernels over simulations, of how chains went, of trainings and of sets of events."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,6 +14,10 @@ from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.figures.style import (
     COLOURS,
     GREY,
+    INK,
+    MANY_COLOURS,
+    OTHER,
+    SIMULATED_TIME,
     banded,
     direct_labels,
     figure_of,
@@ -23,13 +28,14 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import check_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure, SubFigure
 
 STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
 """Lines of the kernels, for those beyond the colours."""
@@ -124,45 +130,145 @@ def _mean_curve(
     return at, values.mean(axis=0), spread
 
 
-# --- a posterior under other priors -------------------------------------------------------------
+# --- how chains went ------------------------------------------------------------------------------
 
-_LINES: Final = 5  # labels that are drawn, those that are ever the most probable first
+_BEST: Final = "#d55e00"
+_PALE: Final = "#7d93ad"
+_MOST_BINS: Final = 20
+_MOST_LINES: Final = 60  # rows of a map, at most, that lines keep apart
 
 
-@figure_of(Posterior, StepwisePosterior)
-def sensitivity(
-    post: Posterior | StepwisePosterior,
-    question: str,
-    prior: Callable[..., object],
-    values: Iterable[float],
-    path: str | os.PathLike[str] | None = None,
-) -> Figure:
-    """Draw the answer to a question as an argument of the prior varies, 5.6 x 3.4 inches.
+@figure_of(Posterior)
+def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw on one page, 10 inches wide and about 7 high, whether a posterior can be trusted.
 
-    Arguments and errors are those of ``post.sensitivity``. Bands are 1.96 errors wide on either
-    side; where too little was simulated for a prior there is a gap.
+    The verdict; goals per particle and draw (:func:`goal_map`); error per frame (:func:`errors`);
+    acceptance. ArviZ draws traces and ranks: ``az.plot_trace(post.chains)``.
     """
-    found = post.sensitivity(question, prior, values)
-    lines = found if found.ndim > 1 else found.expand_dims(answer=[question])
-    lines = lines.stack(line=[dim for dim in lines.dims if dim != "value"])
-    order = np.argsort(-np.nan_to_num(lines.max("value").values), kind="stable")[:_LINES]
-    figure = new_figure(5.6, 3.4)
-    axes = figure.subplots()
-    ends: list[tuple[float, str, str]] = []
-    shares = question.lstrip().startswith("P")
-    for place, colour in zip(order, COLOURS, strict=False):
-        line = lines.isel(line=int(place))
-        y, within = line.values, 1.96 * line["error"].values
-        banded(axes, found["value"], y, within, colour, shares=shares, marker="o", ms=3)
-        name = ", ".join(str(label) for label in line["line"].item())
-        if np.isfinite(y).any() and found.ndim > 1:
-            ends.append((float(y[np.isfinite(y)][-1]), name, colour))
-    titled(axes, post.event_id, question)
-    axes.set_xlabel(f"argument of {getattr(prior, '__name__', 'prior')}")
-    if shares:
-        in_shares(axes)
-    direct_labels(axes, ends)
+    found = post.diagnostics()
+    verdict = textwrap.wrap(found["verdict"], 130)
+    title = "\n".join([f"{post.event_id}\n", *verdict])
+    figure = new_figure(10, 6.2 + 0.155 * len(verdict), title)
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(2.9, 2.8))[:, 0]
+    _goal_panels(upper, post)
+    step_errors, acceptance = lower.subplots(1, 2, width_ratios=(2.4, 1))
+    _step_errors(step_errors, post, found)
+    _acceptance(acceptance, found["acceptance_by_iteration"])
     return written(figure, path)
+
+
+@figure_of(Posterior)
+def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw which goal each particle held at each draw, in shared colours, 10 x 3.2 inches.
+
+    The goals held most have colours of their own; the rest are grey.
+    """
+    figure = new_figure(10, 3.2)
+    _goal_panels(figure, post)
+    return written(figure, path)
+
+
+@figure_of(Posterior)
+def errors(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw how far each particle's last draw is from the observation in every frame.
+
+    Orange is the best draw of all. The background is the darker, the more proposals came from a
+    window with that frame; 7.5 x 3 inches.
+    """
+    figure = new_figure(7.5, 3)
+    _step_errors(figure.subplots(), post, post.diagnostics())
+    return written(figure, path)
+
+
+def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
+    """Draw the agents' maps, and what the colours mean to the right of them."""
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Patch
+
+    codes = [array(post.tree, "posterior", name) for name in post.goals_of.values()]
+    goals = post.scene.world.goals
+    held = np.bincount(np.stack(codes).ravel(), minlength=len(goals))
+    order = np.argsort(-held, kind="stable")[: np.count_nonzero(held)]
+    room = len(MANY_COLOURS)
+    coloured = order if len(order) <= room else order[: room - 1]
+    entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
+    table = np.array([to_rgb(entries.get(goal, OTHER)) for goal in goals])
+    n_chains, n_draws = codes[0].shape
+    panels = figure.subplots(1, len(codes), squeeze=False)[0]
+    for axes, agent, of_agent in zip(panels, post.goals_of, codes, strict=True):
+        extent = (0.5, n_draws + 0.5, n_chains + 0.5, 0.5)
+        axes.imshow(table[of_agent], aspect="auto", interpolation="nearest", extent=extent)
+        if n_draws <= _MOST_LINES / 2:
+            lines = np.arange(1, n_draws) + 0.5
+            axes.vlines(lines, 0.5, n_chains + 0.5, color="white", lw=0.5)
+        _whole_ticks(axes.xaxis, n_draws)
+        _chain_rows(axes, n_chains)
+        axes.set(title=f"Goal of the {agent}", xlabel="draw")
+    panels[0].set_ylabel("particle")
+    if len(order) > len(coloured):
+        entries[f"{len(order) - len(coloured)} other goals"] = OTHER
+    figure.legend(
+        [Patch(facecolor=colour) for colour in entries.values()], entries,
+        loc="outside right upper", handlelength=1.1, handleheight=1.1, labelspacing=0.35,
+    )  # fmt: skip
+
+
+def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
+    """Draw the error per frame of the last draws and of the best, and where windows were."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    error = array(post.tree, "sample_stats", "step_error")
+    time = array(post.tree, "observed_data", "time")
+    total = array(post.tree, "sample_stats", "total_error")
+    best = np.unravel_index(np.argmin(total), total.shape)
+    axes.plot(time, error[:, -1].T, color=_PALE, lw=0.8, alpha=0.7)
+    axes.plot(time, error[best], color=_BEST, lw=1.7)
+    top = 1.06 * max(float(error[:, -1].max()), float(error[best].max()), 1e-3)
+    note = "grey: each particle's last draw; orange: the best draw"
+    windows, coverage = found["windows"], np.zeros(len(time))
+    for start, count in zip(windows["starts"], windows["counts"], strict=True):
+        coverage[start : start + (windows["frames"] or 1)] += count
+    coverage /= max(windows["proposals"], 1)
+    if coverage.any():
+        note += "; shaded: where the windows of proposals were"
+        step = time[1] - time[0]
+        shade = LinearSegmentedColormap.from_list("windows", ["#ffffff", "#f2d9a8"])
+        axes.imshow(
+            coverage[None], cmap=shade, vmin=0, vmax=coverage.max(), aspect="auto", zorder=0,
+            interpolation="nearest", extent=(time[0] - step / 2, time[-1] + step / 2, 0, top),
+        )  # fmt: skip
+    axes.set_ylim(0, top)
+    axes.set_xlim(time[0], time[-1])
+    titled(axes, "Error per frame [units]", note)
+    axes.set_xlabel(SIMULATED_TIME)
+
+
+def _acceptance(axes: Axes, rates: list[float]) -> None:
+    """Draw the share of particles that accepted, per iteration or, of many, per stretch."""
+    stretches = np.array_split(np.array(rates), min(len(rates), _MOST_BINS))
+    sizes, means = [len(part) for part in stretches], [part.mean() for part in stretches]
+    starts = np.cumsum([0, *sizes[:-1]]) + 0.5
+    axes.bar(starts, means, np.array(sizes) * 0.86, align="edge", color=_PALE, zorder=2)
+    axes.axhline(float(np.mean(rates)), color=INK, lw=0.9, ls=(0, (4, 3)), zorder=3)
+    axes.set_xlim(0.4, len(rates) + 0.6)
+    axes.set_xlabel("iteration")
+    _whole_ticks(axes.xaxis, len(rates))
+    in_shares(axes)
+    titled(axes, "Proposals accepted", f"share of particles; dashed: mean, {np.mean(rates):.0%}")
+
+
+def _whole_ticks(axis: Axis, n: int) -> None:
+    """Mark whole numbers from 1 to ``n``, at most seven."""
+    step = next(s for p in range(9) for s in (10**p, 2 * 10**p, 5 * 10**p) if n / s <= 7)
+    axis.set_ticks(sorted({1, *range(step, n + 1, step)}))
+
+
+def _chain_rows(axes: Axes, n: int) -> None:
+    """Mark the rows of ``n`` chains, with lines between them where there is room."""
+    if n <= _MOST_LINES:
+        axes.hlines(np.arange(1, n) + 0.5, *axes.get_xlim(), color="white", lw=0.7)
+    _whole_ticks(axes.yaxis, n)
+    axes.spines[:].set_visible(False)
 
 
 # --- a training --------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 
 from phase_ppl.analysis import quantities
 from phase_ppl.analysis.figures.style import (
-    COLOURS,
     GREY,
     INK,
     NORMAL,
     figure_of,
-    in_style,
     new_figure,
     written,
 )
@@ -24,7 +22,6 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, instance_of, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.picture import trail_colour
@@ -43,7 +40,6 @@ RELATION_COLOUR: Final = "#4c5b76"
 _ALONE: Final = ("relation", "scenario")  # need not be named beside their labels
 _DASHED: Final = (0, (3.2, 1.8))
 _N_GOALS_SHOWN: Final = 6
-_SIDE_BY_SIDE: Final = 3
 _MOVED: Final = 0.05  # extent of a track, units, from which on it is drawn
 _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
@@ -102,47 +98,6 @@ def posterior(
             letter, (0, 1), (-14, 5), xycoords="axes fraction", textcoords="offset points",
             fontsize=11, fontweight="bold", annotation_clip=False,
         )  # fmt: skip
-    return written(figure, path)
-
-
-@in_style
-def posteriors(
-    posts: Mapping[str, Posterior | StepwisePosterior], path: str | os.PathLike[str] | None = None
-) -> Figure:
-    """Draw goals and relations of several posteriors side by side, 7.5 inches wide.
-
-    ``posts`` maps a title, such as the name of a prior or likelihood, to each posterior.
-
-    Raises:
-        InvalidSettingError: ``posts`` is empty, has something that is no posterior, or has
-            posteriors of several worlds.
-    """
-    if not isinstance(posts, Mapping) or not posts:
-        raise InvalidSettingError(f"posteriors of {shown(posts)}, expected names -> posteriors")
-    for name, post in posts.items():
-        instance_of(f"posteriors[{name!r}]", post, (Posterior, StepwisePosterior), "a posterior")
-    if len({post.scene.world for post in posts.values()}) > 1:
-        raise InvalidSettingError("posteriors side by side must be of one world")
-    named = titles(next(iter(posts.values())))
-    tops = {q: [label for p in posts.values() for label, share in p.top(q, _SIDE_BY_SIDE) if share]
-            for q in named}  # fmt: skip
-    labels = {quantity: list(dict.fromkeys(found)) for quantity, found in tops.items()}
-    rows = [len(found) for found in labels.values()]
-    figure = new_figure(7.5, 1.2 + sum(rows) * (0.12 + 0.11 * len(posts)))
-    panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=[n + 1 for n in rows])[:, 0]
-    height = 0.8 / len(posts)
-    for axes, (quantity, found) in zip(panels, labels.items(), strict=True):
-        for number, (name, post) in enumerate(posts.items()):
-            table = post.marginal(quantity).sel({quantity: found})
-            at = np.arange(len(found)) + (number - (len(posts) - 1) / 2) * height
-            axes.barh(
-                at, table, height, color=COLOURS[number % len(COLOURS)], label=name,
-                xerr=_reach(table, table["error"]), error_kw=_ERRORS,
-            )  # fmt: skip
-        axes.set_yticks(np.arange(len(found)), found)
-        axes.set(xlim=(0, 1), ylim=(len(found) - 0.4, -0.6), title=named[quantity])
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    panels[-1].set_xlabel("posterior probability, and its error")
     return written(figure, path)
 
 

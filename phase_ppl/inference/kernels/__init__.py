@@ -4,11 +4,10 @@ They are classes for NumPyro's ``MCMC``: ``ppl.kernels.LocalMH(program)`` of a
 :func:`phase_ppl.program`. :func:`phase_ppl.infer` knows them by name.
 """
 
-from phase_ppl.inference.kernels.enumerated_gibbs import EnumeratedGibbs
-from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH, SingleSiteMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.metropolis import PriorMH, SingleSiteMH
 
-__all__ = ["EnumeratedGibbs", "LocalMH", "MixtureMH", "PriorMH", "RandomWalkMH", "SingleSiteMH"]
+__all__ = ["LocalMH", "PriorMH", "SingleSiteMH"]
 
 
 def __dir__() -> list[str]:

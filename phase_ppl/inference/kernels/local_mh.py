@@ -128,7 +128,7 @@ class LocalMH(MetropolisKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,

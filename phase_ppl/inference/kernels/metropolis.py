@@ -14,11 +14,10 @@ be accepted. The runner stops there. Decisions are the same with and without.
 
 from __future__ import annotations
 
-import copy
 import functools
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +28,7 @@ from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
 from phase_ppl.inference.guide import Guide
-from phase_ppl.inference.registry import Validity
+from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_count
 from phase_ppl.models.bridge import Request
@@ -80,38 +79,26 @@ class EventKernel(MCMCKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
     ) -> None:
-        if not isinstance(program, EventProgram | None):
+        if not isinstance(program, EventProgram):
             raise InvalidSettingError(
                 f"{type(self).__name__}({shown(program)}): expected the phase_ppl.program itself, "
                 f"whose prior a handler does not change; {HOW_TO_CONDITION}"
             )
         if guide is not None and not hasattr(guide, "draw"):
             raise InvalidSettingError(f"guide={shown(guide)}, expected one with draw and log_prob")
-        self._program = program
+        self.program = program
         self._guide = guide
         # one of ``phase_ppl.program`` has settings, and a guide by them
         settings = getattr(program, "settings", None) if settings is None else settings
         self.settings = SimpleSettings() if settings is None else settings
 
-    def bound_to(self, program: EventProgram, guide: Guide, settings: SimpleSettings) -> Self:
-        """Return a copy of this kernel, with its own options, for another event."""
-        bound = copy.copy(self)
-        EventKernel.__init__(bound, program, guide, settings)
-        return bound
-
-    @property
-    def program(self) -> EventProgram:
-        if self._program is None:
-            raise InvalidSettingError(f"{type(self).__name__} has no program yet")
-        return self._program
-
     @property
     def guide(self) -> Guide:
-        guide = getattr(self._program, "guide", None) if self._guide is None else self._guide
+        guide = getattr(self.program, "guide", None) if self._guide is None else self._guide
         if guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         if self.settings.prior_share == 0 and getattr(self, "validity", "exact") != "approximate":
@@ -319,10 +306,6 @@ class Proposed(NamedTuple):
     key: jax.Array  # of the state to come
 
 
-SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
-"""``(key, site) -> (new value, Hastings' correction)``; the site is an entry of a trace."""
-
-
 def _redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
     prior, value = site["fn"], site["value"]
     new = prior.sample(key, site["kwargs"].get("sample_shape", ()))
@@ -361,7 +344,7 @@ class MetropolisKernel(EventKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
@@ -425,21 +408,20 @@ class MetropolisKernel(EventKernel):
         return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
 
     def one_site_moved(
-        self, key: jax.Array, sites: Sites, moves: Mapping[str, SiteMove] | None = None
+        self, key: jax.Array, sites: Sites
     ) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Move one site, each with equal probability; return sites and Hastings' correction.
+        """Draw one site from its prior, given those above; each site with equal probability.
 
-        Sites that ``moves`` does not name are drawn from their prior, given those above. The
-        correction is log q(z | z') - log q(z' | z). A move also changes the prior of the sites
-        below; the prior's ratio accounts for that.
+        Returns sites and Hastings' correction, log q(z | z') - log q(z' | z). A move also changes
+        the prior of the sites below; the prior's ratio accounts for that.
         """
-        model, moves = self.program.model, moves or {}
+        model = self.program.model
         trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
         key_which, *keys = random.split(key, 1 + len(model.sites))
         which = random.randint(key_which, (), 0, len(model.sites))
         proposed, corrections = dict(sites), []
         for index, (name, key_site) in enumerate(zip(model.sites, keys, strict=True)):
-            new, correction = moves.get(name, _redrawn)(key_site, trace[name])
+            new, correction = _redrawn(key_site, trace[name])
             old = jnp.asarray(sites[name])
             proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
             corrections.append(jnp.asarray(correction, jnp.float32))
@@ -507,3 +489,30 @@ class ProposalKernel(MetropolisKernel):
         sites, log_hastings = self.proposed(key_propose, state)
         move = self.move_to(sites, log_hastings, state, self.proposes_from_prior)
         return self.asked(move, state, key, key_seed, key_accept)
+
+
+@register_kernel("prior_mh", validity="exact", any_length=True)
+class PriorMH(ProposalKernel):
+    """Metropolis-Hastings with proposals from the prior.
+
+    An independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio of
+    likelihoods.
+    """
+
+    proposes_from_prior = True
+
+    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+        sites = self.program.draw_prior(key)
+        return sites, state.log_prior - self.program.log_prior(sites)
+
+
+@register_kernel("single_site_mh", validity="exact", any_length=True)
+class SingleSiteMH(ProposalKernel):
+    """Metropolis-Hastings that proposes one site at a time from the prior.
+
+    A random site is drawn from its prior given the sites above it; all others stay. A user's own
+    sites move like any other, in any hierarchy.
+    """
+
+    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+        return self.one_site_moved(key, state.z)

@@ -27,17 +27,20 @@ from jax import lax, random
 from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.guide import Guide
-from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import EventKernel, for_each
+from phase_ppl.inference.kernels.metropolis import EventKernel, PriorMH, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import Request
 from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
+from phase_ppl.world.errors import unknown_name
 
 _BISECTIONS = 40
+
+TARGET: Final = 0.5
+"""Share of the population that stays effective when the temperature rises. A lower one takes fewer
+iterations to the posterior and leaves fewer distinct particles."""
 
 
 class Tempered:
@@ -67,20 +70,20 @@ def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
 
 
 def next_temperature(
-    log_weights: jax.Array, log_likelihood: jax.Array, temperature: jax.Array, target: float
+    log_weights: jax.Array, log_likelihood: jax.Array, temperature: jax.Array
 ) -> jax.Array:
     """Return the highest temperature that the population can be reweighted to.
 
     It is found by bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016).
-    ``target`` is the share of particles that stay effective under the increments of weight, given
-    the weights so far. Both arrays are (n,), log likelihoods up to a constant.
+    :data:`TARGET` is the share of particles that stay effective under the increments of weight,
+    given the weights so far. Both arrays are (n,), log likelihoods up to a constant.
     """
     share = log_weights - logsumexp(log_weights)
 
     def stays(candidate: jax.Array) -> jax.Array:
         increment = powered(log_likelihood, candidate - temperature)
         log_kept = 2 * logsumexp(share + increment) - logsumexp(share + 2 * increment)
-        return jnp.where(jnp.isfinite(log_kept), jnp.exp(log_kept), 0.0) >= target
+        return jnp.where(jnp.isfinite(log_kept), jnp.exp(log_kept), 0.0) >= TARGET
 
     def halve(_: int, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = bounds
@@ -157,12 +160,9 @@ class SMC(EventKernel):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
-        target: share of the population that stays effective when the temperature rises. A lower
-            target takes fewer iterations to the posterior and leaves fewer distinct particles.
         move: name of the kernel that moves the particles.
 
     Raises:
-        InvalidSettingError: ``target`` is not in (0, 1).
         UnknownNameError: there is no such move.
     """
 
@@ -173,19 +173,16 @@ class SMC(EventKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         guide: Guide | None = None,
         settings: SimpleSettings | None = None,
         *,
-        target: float = 0.5,
         move: Move = "local_mh",
     ) -> None:
         super().__init__(program, guide, settings)
-        if not 0 < number_or_nan(target) < 1:
-            raise InvalidSettingError(f"target={shown(target)}, expected a number in (0, 1)")
         if move not in MOVES:
             raise unknown_name("move", move, MOVES)
-        self._target, self._move = float(target), move
+        self._move = move
 
     def _mover(self, program: EventProgram) -> LocalMH | PriorMH:
         if self._move == "local_mh":
@@ -234,7 +231,7 @@ class SMC(EventKernel):
         old = state.temperature[0]
         before = state.log_weight - powered(log_likelihood, 1 - old)
         before = jnp.where(jnp.isfinite(state.log_weight), before, -jnp.inf)
-        temperature = next_temperature(before, log_likelihood, old, self._target)
+        temperature = next_temperature(before, log_likelihood, old)
         weights = before + powered(log_likelihood, temperature - old)
         so_far = state.log_evidence_so_far + logsumexp(weights) - np.log(len(weights))
 

@@ -32,7 +32,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.world_priors import drawn_stated, effective_goals, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 
@@ -175,12 +175,12 @@ class Grid(NamedTuple):
         return len(self.log_prior)
 
 
-def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SIMULATIONS) -> Grid:
+def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
     """Return all effective goals of all agents with prior mass, times all strengths [N].
 
     A strength stands for all that are nearer to it than to any other, and has their prior mass. In
     other worlds than PHASE, and for grids beyond the range of strengths, it has the prior density
-    at its value. In other worlds than PHASE, more than ``most`` hypotheses are refused.
+    at its value. In other worlds than PHASE, more than :data:`MAX_SIMULATIONS` are refused.
     """
     space = space_of_prior(model.prior)
     own = [name for name in model.sites if name not in space.sites]
@@ -195,18 +195,18 @@ def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SI
         )
     with jax.ensure_compile_time_eval():  # kernels may be made inside compiled code
         forces = tuple(float(value) for value in strengths)
-        return _grid(model.prior, forces, most)
+        return _grid(model.prior, forces)
 
 
 @functools.lru_cache(8)
-def _grid(prior: Any, strengths: tuple[float, ...], most: int) -> Grid:
+def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     space = space_of_prior(prior)
     forces = np.array(list(itertools.product(strengths, repeat=space.n_agents)), np.float32)
-    goals = effective_goals(prior, most // len(forces))
+    goals = effective_goals(prior, MAX_SIMULATIONS // len(forces))
     if goals is None:
         raise InvalidSettingError(
             f"{space.world.name!r} has so many combinations of goals that, with the strengths "
-            f"{list(strengths)}, there are more than max_simulations={most} hypotheses"
+            f"{list(strengths)}, there are more than {MAX_SIMULATIONS} hypotheses"
         )
     # strengths vary slowest: a run that is cut short has seen all goals
     which = np.tile(np.arange(len(goals)), len(forces))
@@ -286,18 +286,15 @@ class Enumeration(EventKernel):
 
     Every hypothesis is simulated, one after the other, and weighs P(h) L. The result is as good as
     the grid of strengths and, for a noisy simulator, the number of seeds: hence "consistent", not
-    "exact". The particles share the work; the seeds vary slowest.
+    "exact". The particles share the work.
 
     Args:
         strengths: grid of each agent's strength, newtons. Each stands for those nearer to it than
             to another. Under a uniform prior from 150 to 600 N the default four weigh 1/6, 1/3,
             1/3 and 1/6. See :func:`hypothesis_grid`.
-        noise_seeds: simulations of each hypothesis, with seeds of their own.
-        max_simulations: largest number of simulations allowed.
 
     Raises:
-        InvalidSettingError: the prior cannot be enumerated, or takes too many simulations; more
-            than one seed where the model's noise is fixed.
+        InvalidSettingError: the prior cannot be enumerated, or takes too many simulations.
     """
 
     validity = "consistent"
@@ -307,37 +304,26 @@ class Enumeration(EventKernel):
 
     def __init__(
         self,
-        program: EventProgram | None = None,
+        program: EventProgram,
         *,
         strengths: Sequence[float] = STRENGTHS,
-        noise_seeds: int = 1,
-        max_simulations: int = MAX_SIMULATIONS,
     ) -> None:
         super().__init__(program)
         self._strengths = strengths
-        self._noise_seeds = whole_number("noise_seeds", noise_seeds)
-        self._max_simulations = whole_number("max_simulations", max_simulations)
-        if program is None:
-            return
-        if program.model.noise == "fixed" and noise_seeds > 1:
+        if self.n_simulations > MAX_SIMULATIONS:
             raise InvalidSettingError(
-                f"noise_seeds={noise_seeds}, but with noise='fixed' every hypothesis has one seed"
-            )
-        if self.n_simulations > max_simulations:
-            raise InvalidSettingError(
-                f"the prior leaves {self._grid.size} hypotheses with the strengths "
-                f"{list(strengths)}; with noise_seeds={noise_seeds} that takes "
-                f"{self.n_simulations} simulations, more than max_simulations={max_simulations}"
+                f"the prior leaves {self.n_simulations} hypotheses with the strengths "
+                f"{list(strengths)}, more than {MAX_SIMULATIONS} simulations"
             )
 
     @property
     def _grid(self) -> Grid:
-        return hypothesis_grid(self.program.model, self._strengths, self._max_simulations)
+        return hypothesis_grid(self.program.model, self._strengths)
 
     @property
     def n_simulations(self) -> int:
         """Number of simulations for all hypotheses."""
-        return self._grid.size * self._noise_seeds
+        return self._grid.size
 
     def n_iterations(self, chains: int) -> int:
         """Return how many iterations ``chains`` particles need after the initial ones."""

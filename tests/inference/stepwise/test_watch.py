@@ -13,7 +13,6 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.closed_loop.goal_filter import GoalFilter
-from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
 from phase_ppl.models.effective import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
@@ -125,22 +124,6 @@ def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPa
         assert len(watch.posterior().observed()) == 3
 
 
-def test_a_long_reading_says_how_long(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(enumerate_, "_TIMED", 2)
-        patch.setattr(enumerate_, "_LONG", 0.0)
-        infer(short(5), progress=None)
-        assert "reading 4 more frames takes about" in capsys.readouterr().err
-        infer(short(5))
-    # the frame that compiles does not tell how long a reading takes
-    clock = itertools.chain([0.0], itertools.count(60.0, 0.1))
-    monkeypatch.setattr(enumerate_.time, "monotonic", lambda: next(clock))
-    assert len(list(enumerate_._timed([np.zeros(1)] * 50, None))) == 50
-    assert capsys.readouterr().err == ""
-
-
 def test_other_likelihoods_cannot_be_read() -> None:
     with pytest.raises(InvalidSettingError, match="compares whole simulations with the video"):
         ppl.watch(short(3).scene, ppl.Model(likelihood=ppl.RadialLikelihood()))
@@ -245,7 +228,6 @@ def test_what_is_of_no_use_step_by_step_is_refused() -> None:
         "budget=.* is for sampling": {"budget": ppl.simulations(50)},
         "rule='paper' is for sampling": {"rule": "paper"},
         "began=5 is for sampling": {"began": 5},
-        "retries=3 is for simulations": {"kernel": "prior_mh", "retries": 3},
         "on_failure='banana'": {"kernel": "prior_mh", "on_failure": "banana"},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):
