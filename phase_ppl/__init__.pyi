@@ -27,7 +27,6 @@ from phase_ppl.analysis.with_arviz import pareto_smoothed as pareto_smoothed
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
 from phase_ppl.data import cues as cues
 from phase_ppl.data.documents import read_json as read_json
-from phase_ppl.data.environment import env as env
 from phase_ppl.data.events_netcdf import event_dataset as event_dataset
 from phase_ppl.data.events_netcdf import event_from_dataset as event_from_dataset
 from phase_ppl.data.generated import GeneratedEvents as GeneratedEvents
