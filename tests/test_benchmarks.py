@@ -64,7 +64,7 @@ RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
     "budgets.py --reference --trials 3": (
         lambda r: all(row["ranked_wrong"] <= row["ranked"] for row in r["reference"]), []),
     "simulator.py --only transitions": (lambda r: r["transition_speedup"] > 0, [SLOW]),
-    "large_sets.py --events 2 --frames 34": (lambda r: r["sets"][0]["events"] == 2, [SLOW, PROC]),
+    "large_sets.py --events 8 --frames 34": (lambda r: r["events"] == 8, [SLOW, PROC]),
     "attack.py --inputs 12 --kills 2": (lambda r: r["bad"] == [], [SLOW]),
     "calibration.py --events 2 --iterations 8 --kernel prior_mh --figure ranks.png": (
         lambda r: {*map(len, r["ranks"].values())} == {2} and Path("ranks.png").exists(), [SLOW]),

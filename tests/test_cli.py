@@ -231,7 +231,7 @@ def test_help_gives_an_example(capsys: Capture) -> None:
     names = {
         *("infer", "resume", "compare", "query", "diagnose", "report", "goals", "simulate"),
         *("evaluate", "compare-models", "reproduce", "render", "describe", "export"),
-        *("generate", "verify", "train", "fit-people", "read-video", "study"),
+        *("generate", "train", "fit-people", "read-video", "study"),
     }
     parts = ["new", "run", "status", "export", "withdraw", "exclude", "demo", "simulate"]
     for command in ([], *([name] for name in names), *(["study", part] for part in parts)):

@@ -1,10 +1,9 @@
-"""The commands ``generate``, ``verify`` and ``train``."""
+"""The commands ``generate`` and ``train``."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import re
 import shlex
 import sys
 from collections.abc import Mapping
@@ -23,8 +22,7 @@ def generate(options: Options) -> int:
     Draws situations like those of PHASE, simulates them, and keeps those that show their scenario.
 
     Args:
-        --n N: events, of PHASE in the paper's proportions
-        | --preset NAME: phase500, the paper's 500 events; default
+        --n N: events, of PHASE in the paper's proportions; default there the paper's 500
         | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; hinder=6 has
             as many of each variant; may be given several times; $FILE, which registers it
         --out DIR: required
@@ -36,8 +34,7 @@ def generate(options: Options) -> int:
         --copies N: of each event, with other reflections and colours; default 0
         --turning both|ccw|cw: which way agents can turn, before any reflection; default both
         $cluster
-        --keep-rejected: keep the rejected draws, too
-        --videos: film every event, also kept rejected draws, and draw all in one picture
+        --videos: film every event, and draw all in one picture
         --resume: continue the set in DIR
         $progress
         $versions
@@ -53,31 +50,18 @@ def generate(options: Options) -> int:
         prior = users_parts.taken(options.prior, "prior")
         prior = priors.named(prior) if isinstance(prior, str) else prior
         given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
-    if options.preset is not None:
-        from phase_ppl.data.generation.generate import PRESETS
-
-        check_name("preset", options.preset, PRESETS)
-        given["cells"] = PRESETS[options.preset]
     if options.cell:
         given["cells"] = {_family(name): number for name, number in options.cell.items()}
     made = options.call(phase_ppl.generate, **given)
     print(made)
     if options.videos:
-        rejected = [
-            dataclasses.replace(event, id=f"{event.id}-{re.sub(r'[^A-Za-z0-9]+', '-', reason)}")
-            for event, reason in made.rejected()
-        ]
-        films = functools.partial(options.call, phase_ppl.render.videos)
-        films(events=made, folder=made.path / "videos")
+        folder = made.path / "videos"
+        options.call(phase_ppl.render.videos, events=made, folder=folder)
         sheets = options.call(
             phase_ppl.render.contact_sheet, events=made, path=made.path / "contact_sheet.png"
         )
         names = ", ".join(file.name for file in sheets)
-        print(f"{len(made)} films in {made.path / 'videos'}; {names}")
-        if rejected:
-            folder = made.path / "videos_rejected"
-            films(events=rejected, folder=folder)
-            print(f"{len(rejected)} films of rejected draws in {folder}")
+        print(f"{len(made)} films in {folder}; {names}")
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
@@ -87,21 +71,6 @@ def generate(options: Options) -> int:
 def _family(cell: str) -> str:
     """Return the name of a cell's family, after running the file of ``FILE.py:NAME``."""
     return cell if users_parts.taken(cell, "family") is cell else cell.rpartition(":")[2]
-
-
-def verify(options: Options) -> int:
-    """Compare a generated data set with its checksums.
-
-    Args:
-        FOLDER: of the set
-
-    example: phase-ppl verify events
-    """
-    from phase_ppl.data.generated import verify as wrong_in
-
-    wrong = wrong_in(options.folder)
-    print("\n".join(wrong) or f"{options.folder}: all events are as they were made")
-    return FAILED if wrong else 0
 
 
 def train(options: Options) -> None:

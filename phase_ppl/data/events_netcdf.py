@@ -17,29 +17,18 @@ Reading compares them.
 
 from __future__ import annotations
 
-import copy
 import functools
 import hashlib
 import io
 import json
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Final, NamedTuple, Self, overload
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
 
-from phase_ppl.data.documents import (
-    check_ids,
-    check_once,
-    event_id,
-    in_front,
-    naming,
-    parse_document,
-    per_name,
-    reading_bytes,
-)
+from phase_ppl.data.documents import check_once, event_id, in_front, parse_document, per_name
 from phase_ppl.data.events_json import (
     ARRAYS,
     DOCUMENTS,
@@ -50,22 +39,13 @@ from phase_ppl.data.events_json import (
     event_record,
     scene_record,
     to_text,
-    turned,
 )
-from phase_ppl.data.hdf5 import (
-    UNLOCKED,
-    check_hdf5,
-    content_of,
-    netcdf_bytes,
-    opened,
-    reading,
-    root_attribute,
-)
+from phase_ppl.data.hdf5 import check_hdf5, content_of, netcdf_bytes, reading, root_attribute
 from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.scene import PHASE, Turning, World, one_or_all, world_in_files
+from phase_ppl.world.scene import PHASE, World, one_or_all, world_in_files
 
 LABELS: Final[Mapping[str, Sequence[str]]] = {
     "entity": ENTITIES,
@@ -270,19 +250,9 @@ _RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
 """Dimension along which events follow each other -> the variable with their lengths."""
 
 _CHECKSUM: Final = "sha256"
-_LISTED_AT_MOST: Final = 16
-"""Most files whose listings are cached."""
 
 Place = dict[str, int | slice]
 """Place of an event in a file of several: dimension -> index or slice."""
-
-
-class Listing(NamedTuple):
-    """The contents of a file of several events: ids, places, and each variable's dimensions."""
-
-    ids: list[str]
-    places: list[Place]
-    dims: dict[str, tuple[str, ...]]
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
@@ -354,22 +324,6 @@ def _checked_event(dataset: xr.Dataset, place: Mapping[str, Any]) -> Event:
     return event
 
 
-def event_at(path: Path, listed: Listing, index: int) -> Event:
-    """Return one event of a file of several; nothing of the others is read.
-
-    It uses HDF5 directly, since xarray takes several times as long.
-    """
-    place, variables = listed.places[index], {}
-    with reading(), opened(path) as file:
-        for name, dims in listed.dims.items():
-            array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
-            value = array[tuple(place.get(dim, slice(None)) for dim in dims)]
-            left = [dim for dim in dims if not isinstance(place.get(dim), int)]
-            variables[name] = xr.Variable(left, value)
-        taken = xr.Dataset(variables)
-    return _checked_event(taken, {})
-
-
 def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return one dataset of several events, which have the same variables."""
     packed: dict[str, xr.Variable] = {}
@@ -409,106 +363,3 @@ def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
         for place, start, stop in zip(places, [0, *stops], stops, strict=False):
             place[dim] = slice(start, stop)
     return [event_id(name) for name in dataset.variables["event"].values.tolist()], places
-
-
-# --- events that are read when they are asked for --------------------------------------------
-
-
-class _Stored(NamedTuple):
-    """An event in one of several files."""
-
-    id: str
-    file: int
-    place: int  # its place in that file
-
-
-class StoredEvents(Sequence[Event]):
-    """Events of one or more files; each is read every time it is asked for.
-
-    A file is open only while something is read. So any number of processes and threads can share
-    the events, and they can be pickled. Slices are of the same kind, and read nothing.
-
-    Args:
-        path: a ".nc" file as :func:`phase_ppl.data.load.save_events` writes it, or several, whose
-            events follow each other.
-        turning: "both", "ccw" or "cw" instead of the files' values.
-
-    Raises:
-        InvalidEventError: a file cannot be read, now or later, or has changed since.
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-        turning: Turning | None = None,
-    ) -> None:
-        paths = [path] if isinstance(path, str | os.PathLike) else path
-        self._files, self._turning = [Path(one) for one in paths], turning
-        self._states: list[_State] = []
-        self._stored: list[_Stored] = []
-        for number, file in enumerate(self._files):
-            with naming(file):
-                self._states.append(_state(file))
-                ids = _listing(file, self._states[-1]).ids
-                self._stored += [_Stored(id, number, place) for place, id in enumerate(ids)]
-                check_ids(self.ids)
-
-    @property
-    def ids(self) -> list[str]:
-        """The ids of the events, in their order."""
-        return [one.id for one in self._stored]
-
-    def chosen(self, indices: Sequence[int]) -> Self:
-        """Return some of the events, in the order of the indices."""
-        found = copy.copy(self)
-        found._stored = [self._stored[index] for index in indices]
-        return found
-
-    @overload
-    def __getitem__(self, index: int) -> Event: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Self: ...
-
-    def __getitem__(self, index: int | slice) -> Event | Self:
-        if isinstance(index, slice):
-            return self.chosen(range(len(self))[index])
-        id, number, place = self._stored[index]
-        path, state = self._files[number], self._states[number]
-        with naming(path):
-            if _state(path) != state:
-                raise InvalidEventError("was changed since its events were listed; load it again")
-            listed = _listing(path, state)
-        with naming(path, id):
-            event = event_at(path, listed, place)
-        return event if self._turning is None else turned(event, self._turning)
-
-    def __len__(self) -> int:
-        return len(self._stored)
-
-
-_State = tuple[int, int]
-
-
-@functools.lru_cache(maxsize=_LISTED_AT_MOST)
-def _listing(path: Path, _state: _State) -> Listing:
-    """Return the contents of a file of several events in that state; no event is read."""
-    check_hdf5(path)
-    tag = root_attribute(path, "format")
-    if tag != EVENTS_FORMAT:
-        raise InvalidEventError(f"has format {tag!r}, expected {EVENTS_FORMAT!r}")
-    options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
-    with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
-        for name, variable in dataset.variables.items():
-            if {"scale_factor", "add_offset"} & set(variable.encoding):
-                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
-        ids, places = _listed(dataset)
-        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
-        return Listing(ids, places, dims)
-
-
-def _state(path: Path) -> _State:
-    """Return the state of a file, by which a change is noticed."""
-    with reading_bytes("a file of events"):
-        found = path.stat()
-    return found.st_mtime_ns, found.st_size

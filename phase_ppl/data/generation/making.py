@@ -267,8 +267,8 @@ Part = dict[str, Any]
 """The result of a slot, as plain data.
 
 ``name`` and ``cell`` are the slot's. ``events`` are the event and its copies; empty if every draw
-was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the draws before the
-accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if anything was simulated.
+was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the reasons against
+the draws before the accepted one.
 """
 
 
@@ -282,7 +282,6 @@ def make(plan: Plan, slot: Slot) -> Part:
     before = is_as_before(plan.world)
     part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
     for attempt in range(plan.max_tries):
-        told: dict[str, Any] = {"id": f"{slot.name}-{attempt}", "reason": "", "measures": {}}
         seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
         rng = np.random.default_rng([plan.seed, 0, slot.number, attempt] if before else seed)
         if family is not None:
@@ -290,7 +289,7 @@ def make(plan: Plan, slot: Slot) -> Part:
         else:
             roles = _drawn_roles(plan, seed)
             if isinstance(roles, str):
-                part["rejected"].append({**told, "reason": roles})
+                part["rejected"].append(roles)
                 continue
             drawn = Drawn(plan.world.random_scene(seed), roles, 0)
         steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
@@ -302,8 +301,7 @@ def make(plan: Plan, slot: Slot) -> Part:
         else:
             reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
         if reason is not None:
-            event = event_record(event_of(recording, told["id"]))
-            part["rejected"].append({**told, "reason": reason, "measures": found, "event": event})
+            part["rejected"].append(reason)
             continue
         for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
             look = plan.looks[index]

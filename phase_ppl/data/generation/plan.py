@@ -45,13 +45,9 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 }  # fmt: skip
 """How often the original test videos are reflected, and how."""
 
-BLOCK: Final = 1000
-"""Slots whose events are assembled at a time, in memory and in a file."""
-
-_SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
-"""Bytes of memory for a slot, for an event being assembled, and for each of its frames."""
+"""Bytes of memory for an event that is assembled, and for each of its frames."""
 
 MOST_TRIES: Final = 1000  # in worlds other than PHASE, where each try has its own number
 
@@ -93,8 +89,6 @@ class Plan:
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
     copies: int = 0
-    reflect: bool = True
-    recolour: bool = True
     turning: Turning = "both"  # the original events have only "ccw", before any reflection
     frames: int = 101
     planner: str | PlannerConfig = "fast"
@@ -131,20 +125,14 @@ class Plan:
         for family in self.families.values():  # errors of users' functions show now
             family.draw(self.world, np.random.default_rng(self.seed))
         n, each = sum(self.cells.values()), 1 + self.copies
-        together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
         what = f"a plan of {n * each} events of {self.frames} frames"
-        check_memory(what, n * _SLOT_BYTES + together)
+        check_memory(what, n * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames))
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
-        for name in ("reflect", "recolour"):
-            if getattr(self, name) and not tables_of(self.world).has_looks:
-                raise InvalidSettingError(
-                    f"{name}=True: events of {self.world.name!r} have one look"
-                )
         most = len(self.looks) - 1
         if self.copies > most:
             raise InvalidSettingError(
-                f"copies={self.copies}, but with reflect={self.reflect} and "
-                f"recolour={self.recolour} an event has only {most} other looks"
+                f"copies={self.copies}, but an event of {self.world.name!r} has only {most} other "
+                "looks"
             )
 
     @functools.cached_property
@@ -156,9 +144,10 @@ class Plan:
     @functools.cached_property
     def looks(self) -> list[Look]:
         """The possible looks of events."""
-        swaps = (False, True) if self.recolour else (False,)
-        reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
-        return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
+        if not tables_of(self.world).has_looks:
+            return [Look(UNCHANGED, agents=False, items=False)]
+        swaps = (False, True)
+        return [Look(*look) for look in itertools.product(REFLECTION_SHARES, swaps, swaps)]
 
     @functools.cached_property
     def shares(self) -> FloatArray:
