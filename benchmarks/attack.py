@@ -192,7 +192,7 @@ def command(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         ["query", post, "E[strength_red | strength_red > 200]", "top 3 goal_red", "--json"],
         ["evaluate", event, "--model", "majority", "--limit", "1", "--seed", "0", "--no-figures"],
         ["generate", "--n", "1000000000", "--seed", "0", "--out", str(folder / "set")],
-        ["export", event, "--to", "phase-test", "--out", str(folder / "exported.json")],
+        ["export", event, "--out", str(folder / "exported.json")],
         ["render", event, "--out", str(folder / "picture.png")],
         ["report", str(folder)],
         ["describe", event],

@@ -38,7 +38,6 @@ from phase_ppl.data.generation.generate import (
 )
 from phase_ppl.data.generation.generate import generate as generate
 from phase_ppl.data.load import bundled_events as bundled_events
-from phase_ppl.data.load import export_events as export_events
 from phase_ppl.data.load import load_event as load_event
 from phase_ppl.data.load import load_events as load_events
 from phase_ppl.data.load import save_event as save_event

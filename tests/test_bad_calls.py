@@ -150,7 +150,7 @@ def test_an_output_may_be_full_closed_or_of_few_letters_and_its_reader_gone(
 ) -> None:
     def export(output: IO[str] | None) -> tuple[int, str]:
         monkeypatch.setattr(sys, "stdout", output)
-        code = main(["export", event, "--to", "phase-test", "--out", f"{tmp_path}/Bär.json"])
+        code = main(["export", event, "--out", f"{tmp_path}/Bär.json"])
         return code, capsys.readouterr().err
 
     with open("/dev/full", "w") as full:

@@ -316,7 +316,6 @@ BAD_INPUT = [
      "--reference: 'per_pair'"),
     ("", "COMMAND"),
     ("infre collaborate", "unknown choice 'infre'; did you mean 'infer'?"),
-    ("export collaborate --to netcdff --out x.nc", "--to: unknown choice 'netcdff'; did you mean"),
     ("infer collaborate --turning up", "allowed: 'both', 'ccw', 'cw'"),
     ("study run", "arguments are required: FOLDER"),
 ]  # fmt: skip

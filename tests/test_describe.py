@@ -78,25 +78,19 @@ def test_what_is_no_set_or_a_damaged_one_is_named(
 
 
 def test_events_of_several_files_go_into_one(tmp_path: Path, capsys: Capture) -> None:
-    for to, name in (("json", "x.json"), ("netcdf", "x.nc"), ("phase-test", "x.json")):
-        out = tmp_path / f"a new folder of {to}" / name
-        told(capsys, "export", "collaborate", "compete", "--to", to, "--out", out)
+    for name in ("x.json", "x.nc"):
+        out = tmp_path / "a new folder" / name
+        told(capsys, "export", "collaborate", "compete", "--out", out)
         assert [event.id for event in phase_ppl.load_events(out)] == ["collaborate", "compete"]
 
 
-def test_pickles_of_the_authors_are_described_read_and_written(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_pickles_of_the_authors_are_described_and_read(tmp_path: Path, capsys: Capture) -> None:
     path, out = tmp_path / "Videos", tmp_path / "videos.json"
     path.write_bytes(pickle.dumps([processed(None), processed(3)]))
-    arguments = ["export", path, "--to", "json", "--out", out]
+    arguments = ["export", path, "--out", out]
     assert told(capsys, *arguments) == f"2 events written to {out}\n"
     assert "Videos: 2 events\n" in told(capsys, "describe", path)
     assert len(phase_ppl.load_events(out)) == 2
-    out = tmp_path / "x.pkl"
-    told(capsys, "export", "oppose", "--to", "phase-processed", "--out", out)
-    (event,) = phase_ppl.load_events(out)
-    assert (event.id, event.truth) == ("oppose", phase_ppl.load_event("oppose").truth)
 
 
 def test_bad_input_is_answered_in_one_line(
@@ -104,11 +98,10 @@ def test_bad_input_is_answered_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments, message in {
-        "collaborate --to netcdf --out x.json": "expected a name in .nc",
-        "collaborate --to csv --out x.csv": "unknown choice 'csv'",
-        "collaborate --out x.json": "--to",
-        "nobody --to json --out x.json": "nobody: no such file",
-        "collaborate collaborate --to json --out x.json": "two videos with",
+        "collaborate --out x.csv": "ending in .json or .nc",
+        "collaborate": "--out",
+        "nobody --out x.json": "nobody: no such file",
+        "collaborate collaborate --out x.json": "two videos with",
     }.items():
         assert message in fails(capsys, "export", *arguments.split())
     assert not any(tmp_path.iterdir())

@@ -166,16 +166,15 @@ def describe(options: Options) -> None:
 
 
 def export(options: Options) -> None:
-    """Write events in another format.
+    """Write events of any files, also of PHASE's authors, into one file.
 
     Args:
         EVENTS...: files of events, or bundled events' names
-        --to json|netcdf|phase-test|phase-processed: required
-        --out FILE: required
+        --out FILE: .json or .nc; required
 
-    example: phase-ppl export collaborate compete --to phase-test --out two.json
+    example: phase-ppl export collaborate compete --out two.json
     """
-    writable_folder(options.out.parent)
+    options.suffix(*_EVENTS)
     events = [event for path in options.events for event in phase_ppl.load_events(path)]
-    phase_ppl.export_events(events, options.out, options.to)
+    phase_ppl.save_events(events, options.out)
     print(f"{len(events)} event{'s' * (len(events) != 1)} written to {options.out}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -43,14 +43,6 @@ _JSON: Final = ".json"
 _NETCDF: Final = ".nc"
 SUFFIXES: Final = (_JSON, _NETCDF)
 """Endings of event files."""
-
-EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
-    "json": (_JSON,),
-    "netcdf": (_NETCDF,),
-    "phase-test": (_JSON,),
-    "phase-processed": (".pkl", ".pickle", ".pik"),
-}
-"""Format -> endings of its file names."""
 
 
 def bundled_events() -> list[str]:
@@ -222,40 +214,6 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
     with naming(path):
         check_ids([event.id for event in events])
     _write(path, lambda form: form.events_bytes(events))
-
-
-def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
-    """Write events to a file in a given format.
-
-    Args:
-        events: with different ids.
-        path: its ending must be one of the format's, see ``EXPORTS``.
-        format: "json" or "netcdf", as :func:`save_events` writes them;
-            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.data.events_json`);
-            "phase-processed", a pickle of plain data and arrays like the authors'
-            (:mod:`phase_ppl.data.authors.videos`). :func:`load_events` reads all of them. The first
-            two keep everything, the others only what the format can hold.
-
-    Raises:
-        UnknownNameError: there is no such format.
-        OutputError: the file cannot be written, or its name has a wrong ending.
-        InvalidEventError: no events, an id given twice, or the format cannot hold something of an
-            event.
-    """
-    check_name("format", format, EXPORTS)
-    check_output(path, EXPORTS[format])
-    if format in ("json", "netcdf"):
-        return save_events(events, path)
-    with naming(path):
-        check_ids([event.id for event in events])
-    from phase_ppl.data.authors import videos as authors
-
-    like, is_json, videos = events[0].scene, format == "phase-test", []
-    for event in events:
-        with naming(path, event.id):
-            videos.append(events_json.video(event, like) if is_json else authors.video(event))
-    content = events_json.videos_bytes(videos, like) if is_json else authors.pickled(videos)
-    write_bytes(path, EXPORTS[format], content)
 
 
 def _write(path: PathLike, content: Callable[[ModuleType], bytes]) -> None:

@@ -28,13 +28,6 @@ Reading changes them as follows:
 * Velocities are left out. In copies, those of agents were reflected like points, and those of items
   were not reflected.
 * The scene starts as in the first frame; ``turning`` is inferred from the angles.
-
-The processed form is written too (:func:`video`), for programs made for the authors' data. A video
-with the walls of a reflected layout counts as a reflected copy. It is then written like such
-copies, wrong velocities included, since readers of the authors' files correct these. Velocities are
-differences of the positions, per simulated second. The form cannot hold another arena, another
-start than the first frame, ``turning``, ``resets_velocity``, predictions, or judgments beyond the
-relation that most people saw.
 """
 
 from __future__ import annotations
@@ -42,10 +35,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import pickle
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -55,26 +47,22 @@ from numpy.typing import NDArray
 
 from phase_ppl.data.authors.pickles import read_pickle
 from phase_ppl.data.documents import converted, event_id
-from phase_ppl.data.events_json import Entries, check_start, strength_level
-from phase_ppl.data.generation.making import REFLECTIONS
-from phase_ppl.data.generation.situation import LAYOUTS
+from phase_ppl.data.events_json import Entries
 from phase_ppl.data.motion import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import InvalidEventError, shown
-from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
-from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
-from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
+from phase_ppl.world.event import Event, Observation, Truth
+from phase_ppl.world.goals import GOALS, literal_goal
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.names import Literal as GoalLiteral
-from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase
+from phase_ppl.world.scene import Scene
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
 sign 1 (to) or -1 (away from)."""
 
-ALPHA: Final = 10.0  # weight of the other's goal, in file names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
     r"(?P<stamp>.*?)(?P<between>_?)(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
@@ -85,7 +73,6 @@ _PARAMETERS: Final = re.compile(
 _BETWEEN: Final = "[^A-Za-z0-9-]+"
 _GOAL: Final = re.compile(rf"([A-Z]+){_BETWEEN}(\d+){_BETWEEN}(\d+){_BETWEEN}(-?1)(?!\d)")
 _STAMP: Final = re.compile(r"D\d{6}_\d{6,7}")
-_ID: Final = re.compile(r"(D\d{6}_\d{6,7})(\d)_E(\d+)(?:\.([0-3]))?")
 _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
@@ -165,51 +152,6 @@ def goal_string(goal: Goal, holder: int) -> str:
     else:
         raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
     return GOALS[literal_goal(literal)]
-
-
-def goal_numbers(goal: str, holder: int) -> Goal:
-    """Invert :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
-    literal = goal_literal(goal_index(goal), holder)
-    sign = 1 if literal.positive else -1
-    if literal.predicate is PredicateKind.TOUCH:
-        if literal.target == holder:
-            raise InvalidEventError(f"goal {goal!r} names its own holder, the {AGENTS[holder]}")
-        chaser, chased = (holder, 1 - holder) if literal.positive else (1 - holder, holder)
-        return "TE", chaser, chased, sign
-    if literal.subject >= BLUE_ITEM:
-        return "LMO", literal.subject - BLUE_ITEM, literal.target, sign
-    return "LMA", literal.subject, literal.target, sign
-
-
-def place_in_id(id: str) -> Place | None:
-    """Return the place in an id of the authors' recordings, else None."""
-    found = _ID.fullmatch(id)
-    if found is None:
-        return None
-    return Place(int(found[3]), None if found[4] is None else int(found[4]))
-
-
-def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
-    """Return a name from which :func:`parse_name` returns the same."""
-    found = _ID.fullmatch(id)
-    head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
-    parameters = alphas = ""
-    if truth is not None:
-        goals = "_".join(
-            str(list(goal_numbers(goal, holder)))
-            for holder, goal in enumerate(truth.goals.values())
-        )
-        red, green = map(strength_level, truth.strengths)
-        parameters = f"_G{goals}_ST{red}_{green}"
-        of_red = of_green = 0.0
-        if truth.scenario == "opposing":  # the agent that wants something to be false hinders
-            positive = goal_literal(goal_index(truth.goal_red), 0).positive
-            of_red, of_green = (0.0, -ALPHA) if positive else (-ALPHA, 0.0)
-        alphas = f"_R{of_red}_{of_green}"
-    name = f"{head}_F8_{place}{parameters}_A0_0_C0_0_MCTS_L{n_frames - 1}{alphas}.mp4"
-    if parse_name(name) != Recorded(id, place, truth):
-        raise InvalidEventError(f"{name!r} would not say all of its id, place and truth")
-    return name
 
 
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
@@ -448,88 +390,3 @@ def _followed(
     states, jumps = np.array(steps[::-1]).T
     passed = np.cumsum(jumps) + np.concatenate([[0], np.cumsum(way[states])[:-1]])
     return np.asarray(before[np.arange(len(states)), states] + _TURN * passed)
-
-
-# --- the processed form ----------------------------------------------------------------------
-
-_COPIES: Final = tuple(REFLECTIONS.values())
-"""Reflections, in the order of their numbers in file names."""
-
-_PROTOCOL: Final = 3
-"""The newest protocol that every Python 3 reads and that names its modules in plain lines."""
-
-
-def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return the pickle of a list of videos; any version of NumPy loads it."""
-    # safe: no text of a video has a line break, and numbers in an arena never spell this
-    content = pickle.dumps(list(videos), _PROTOCOL)
-    return content.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
-
-
-def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form (InvalidEventError: it does not fit)."""
-    scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
-    check_is_phase(scene.world, "this format")
-    if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
-        raise InvalidEventError(
-            "its arena is not the original one, and the format has no place for it"
-        )
-    check_start(event)
-    place = _place(event)
-    for agent in range(len(AGENTS)) if place.is_diagonal else ():
-        angles = trajectory[:, agent, 2]
-        if not np.array_equal(repaired(angles, float(scene.radius[agent])), angles):
-            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
-    velocity = _velocity(trajectory, place.copy, scene)
-    rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
-    goals = [] if truth is None else truth.goals.values()
-    majority = (event.judgments or {}).get("majority")
-    return {
-        "name": file_name(event_id(event.id), place, truth, len(rows)),
-        "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
-        "entity_sizes": scene.radius.tolist(),
-        "entity_color_code": dict(COLOUR_CODE),
-        "physical_goals": [list(goal_numbers(goal, holder)) for holder, goal in enumerate(goals)],
-        "wall_segs": [[tuple(end) for end in wall] for wall in scene.walls.tolist()],
-        "landmark_centers": [tuple(centre) for centre in scene.landmark_centres.tolist()],
-        "social_goals": majority if majority in RELATIONS else None,
-    }
-
-
-def _place(event: Event) -> Place:
-    """Return the layout, reflected or not, with the event's walls; that of its id if it fits."""
-    lengths = event.scene.rooms.wall_length
-    in_id = place_in_id(event.id)
-    known = [Place(layout, copy) for copy in (None, 0, 1, 2, 3) for layout in LAYOUTS]
-    for place in sorted(known, key=lambda one: one != in_id):
-        if np.allclose(_lengths(place), lengths):
-            return place
-    raise InvalidEventError(
-        "its walls are those of no original layout, by whose number such files know them"
-    )
-
-
-def _lengths(place: Place) -> FloatArray:
-    """Return the lengths of the walls up, left, down and right, units."""
-    lengths = np.array(LAYOUTS[place.layout], np.float64)
-    if place.copy is None:
-        return lengths
-    matrix = _COPIES[place.copy].matrix
-    mirrored = np.empty_like(lengths)
-    mirrored[(RAY_DIRECTIONS @ matrix @ RAY_DIRECTIONS.T).argmax(axis=0)] = lengths
-    return mirrored
-
-
-def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatArray:
-    """Return (time, entity, 2) velocities as in recordings of that kind.
-
-    In copies, agents' velocities were reflected like points, about the line of the reflection.
-    Items' velocities were not reflected.
-    """
-    velocity = np.gradient(trajectory[..., :2], 1 / FRAMES_PER_SECOND, axis=0)
-    velocity[0] = 0.0  # at rest
-    if copy is not None:
-        matrix, n = _COPIES[copy].matrix, len(AGENTS)
-        velocity[:, :n] += scene.centre - matrix @ scene.centre
-        velocity[:, n:] = velocity[:, n:] @ matrix  # its own inverse
-    return velocity

@@ -15,11 +15,8 @@ from hypothesis import strategies as st
 from phase_ppl.data.authors.videos import (
     Place,
     Recorded,
-    file_name,
-    goal_numbers,
     goal_string,
     parse_name,
-    place_in_id,
     repaired,
 )
 from phase_ppl.data.load import load_event, load_events
@@ -27,8 +24,7 @@ from phase_ppl.data.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.goals import GOALS, is_self_referring
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.goals import GOALS
 from tests.data.authors.pickles import (
     FRAMES,
     KINDS,
@@ -102,7 +98,6 @@ def test_ids_are_stamp_and_place_or_what_the_name_says(tmp_path: Path) -> None:
         made = [processed(copy, stamp=stamp) for copy in KINDS]
         found = [event.id for event in load_events(write(tmp_path, made))]
         assert found == [f"{stamp}_E8{suffix}" for suffix in ("", ".0", ".1", ".2", ".3")]
-        assert [place_in_id(id) for id in found] == [Place(8, copy) for copy in KINDS]
     # two of one stamp and place go by their whole names
     first, second = processed(0), processed(0)
     second["name"] = second["name"].replace("_e0", "_e1")
@@ -241,13 +236,11 @@ def test_a_name_says_where_it_was_and_who_wanted_what() -> None:
     # a reflected copy has a number after the layout
     said = parse_name(name_of(3))
     assert (said.id, said.place) == ("D082020_1817530_E8.3", Place(8, 3))
-    assert place_in_id(said.id) == said.place
-    assert place_in_id("collaborate") is None
     for name in ("mine", "x.y.mp4", "", "_E8_G[]", "E8"):
         assert parse_name(name) == Recorded(name.removesuffix(".mp4"), None, None)
 
 
-GOAL_OF_NUMBERS = {
+GOAL_OF_NUMBERS: dict[tuple[Any, int], str] = {
     (("LMO", 0, 0, 1), 0): "Get blue item to blue lm",
     (("LMO", 1, 3, -1), 1): "Get pink item away from yellow lm",
     (("LMA", 0, 1, 1), 1): "Get red agent to green lm",
@@ -258,54 +251,9 @@ GOAL_OF_NUMBERS = {
 }
 
 
-def test_numbers_of_a_goal_stand_for_a_string_of_the_paper_unless_it_names_its_holder() -> None:
+def test_numbers_of_a_goal_stand_for_a_string_of_the_paper() -> None:
     for (numbers, holder), string in GOAL_OF_NUMBERS.items():
         assert goal_string(numbers, holder) == string
-        assert goal_numbers(string, holder) == numbers
-    for holder, (goal, string) in itertools.product((0, 1), enumerate(GOALS)):
-        if is_self_referring(goal, holder):
-            with pytest.raises(InvalidEventError, match="names its own holder"):
-                goal_numbers(string, holder)
-        else:
-            assert goal_string(goal_numbers(string, holder), holder) == string
-
-
-places = st.builds(Place, st.integers(0, 99), st.sampled_from([None, 0, 1, 2, 3]))
-goals = st.sampled_from(GOALS[:32])
-strengths = st.sampled_from([None, *STRENGTH_LEVELS])
-truths = st.none() | st.builds(
-    Truth, goals, goals, strength_red=strengths, strength_green=strengths
-)
-ids = st.text(st.characters(codec="utf-8", categories=("L", "N", "P")), min_size=1, max_size=40)
-stamps = st.from_regex(r"D[0-9]{6}_[0-9]{7,8}_E[0-9]{1,2}(\.[0-3])?", fullmatch=True)
-
-bare = st.from_regex(r"D[0-9]{6}_[0-9]{5,9}", fullmatch=True)  # nearly the authors'
-
-
-@given(id=ids | stamps | bare, place=places, truth=truths)
-def test_a_name_that_is_written_says_the_same_when_read(
-    id: str, place: Place, truth: Truth | None
-) -> None:
-    assert parse_name(file_name(id, place, truth, 40)) == Recorded(id, place, truth)
-
-
-def test_a_name_is_written_as_the_authors_write_it() -> None:
-    written = file_name("D082020_1817530_E8.3", Place(8, 3), TRUTH, 40)
-    assert written.startswith("D082020_1817530_0_F8_E8.3_G['LMO', 0, 2, 1]_['TE', 1, 0, 1]_ST3_0_")
-    assert written.endswith("_MCTS_L39_R0.0_0.0.mp4")
-    # who hinders has a negative alpha
-    for red, green, alphas in (
-        ("get to green agent", "get away from red agent", "R0.0_-10.0"),
-        ("Get green agent away from red lm", "Get green agent to red lm", "R-10.0_0.0"),
-    ):
-        assert f"_{alphas}.mp4" in file_name("x", Place(0, None), Truth(red, green), 40)
-    for id, truth, message in (
-        ("x", Truth(GOALS[0], GOALS[1], strength_red=400.0), "a strength is 400 N, expected one"),
-        ("x", Truth(GOALS[0], GOALS[1], relation="friendly"), "would not say all"),
-        ("x" * 990, None, "of more than 1000 characters"),
-    ):
-        with pytest.raises(InvalidEventError, match=message):
-            file_name(id, Place(8, None), truth, 40)
 
 
 # --- angles of copies -----------------------------------------------------------------------------
