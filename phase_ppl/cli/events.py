@@ -158,11 +158,8 @@ def describe(options: Options) -> None:
     with atomic_output(out / "statistics.csv", (".csv",)) as part:
         found.to_csv(part)
     phase_ppl.plot.data_card(found, out / "data_card.png")
-    sheets = options.call(
-        phase_ppl.render.contact_sheet, events=events, path=out / "contact_sheet.png"
-    )
-    names = ", ".join(["statistics.csv", "data_card.png", *(sheet.name for sheet in sheets)])
-    print(f"\nWritten to {out}: {names}")
+    options.call(phase_ppl.render.contact_sheet, events=events, path=out / "contact_sheet.png")
+    print(f"\nWritten to {out}: statistics.csv, data_card.png, contact_sheet.png")
 
 
 def export(options: Options) -> None:

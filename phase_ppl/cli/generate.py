@@ -57,11 +57,9 @@ def generate(options: Options) -> int:
     if options.videos:
         folder = made.path / "videos"
         options.call(phase_ppl.render.videos, events=made, folder=folder)
-        sheets = options.call(
-            phase_ppl.render.contact_sheet, events=made, path=made.path / "contact_sheet.png"
-        )
-        names = ", ".join(file.name for file in sheets)
-        print(f"{len(made)} films in {folder}; {names}")
+        sheet = made.path / "contact_sheet.png"
+        options.call(phase_ppl.render.contact_sheet, events=made, path=sheet)
+        print(f"{len(made)} films in {folder}; {sheet.name}")
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)

@@ -156,7 +156,6 @@ def video(
     fields_of_view: bool = False,
     compare: Drawable | None = None,
     compare_scene: Scene | None = None,
-    captions: tuple[str, str] = CAPTIONS,
     progress: bool = False,
 ) -> Film:
     """Write an animation in the look of the PHASE videos as MP4 (H.264) or GIF.
@@ -174,7 +173,6 @@ def video(
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in its
             own scene. The shorter one stands still at its end.
         compare_scene: scene of the second trajectory, if it is another.
-        captions: texts above the two.
         progress: whether to show a progress bar.
 
     Returns:
@@ -203,7 +201,7 @@ def video(
 
     def draw(index: int) -> Image.Image:
         drawn = [painter.draw(track[index]) for painter, track in zip(painters, poses, strict=True)]
-        return drawn[0] if compare is None else _beside(drawn, captions)
+        return drawn[0] if compare is None else _beside(drawn)
 
     with atomic_output(path, SUFFIXES) as part:
         frames = map(draw, counted(range(n_frames), progress, "frame", "drawing"))
@@ -222,10 +220,10 @@ def film(draw: Callable[[int], Image.Image], n_frames: int, path: str | os.PathL
     return Film(path)
 
 
-def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:
+def _beside(drawn: list[Image.Image]) -> Image.Image:
     picture = side_by_side([panel(frame) for frame in drawn])
-    for index, text in enumerate(captions):
-        x = (index + 0.5) * picture.width / len(captions)
+    for index, text in enumerate(CAPTIONS):
+        x = (index + 0.5) * picture.width / len(CAPTIONS)
         write_centred(picture, text, x, _CAPTION_Y, _CAPTION_SIZE)
     return picture
 

@@ -17,7 +17,6 @@ from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, make_event
 from tests.world.examples import DEV, needs_dev
 
-BLUE, PINK = "Get blue item to red lm", "Get pink item to green lm"
 CHECKS = {
     "friendly": "['LMO', 0, 2, 1]_['LMO', 0, 2, 1]",
     "neutral": "['LMO', 0, 2, 1]_['LMO', 1, 1, 1]",
