@@ -82,9 +82,8 @@ def train(options: Options) -> None:
         --out DIR: required
         --seeds N: networks; default 5
         --seed N: first one; default 0
-        --variant extended|original|message_passing: default extended
-        --option NAME=VALUE...: option of training, such as epochs=100 or looks=false; may be given
-            several times
+        --variant extended|original: default extended
+        --option NAME=VALUE...: option of training, such as epochs=100; may be given several times
         --resume: continue the training in DIR
         $progress
 
@@ -95,7 +94,7 @@ def train(options: Options) -> None:
     check_name("model to train", options.model, ["socialgnn"])
     for name in options.option:
         check_name("option", name, [f.name for f in dataclasses.fields(TrainingSettings)][1:])
-    settings = TrainingSettings.of(options.variant or "extended", **options.option)
+    settings = TrainingSettings(options.variant or "extended", **options.option)
     writable_folder(options.out)
     report = options.call(phase_ppl.train_socialgnn, settings=settings)
     splits = list(report["together"])

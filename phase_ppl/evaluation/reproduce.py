@@ -233,7 +233,6 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
         found |= {name: Asked(name, 34) for name in (*lesions.split(), "no_social_goals")}
         found |= {
             "stepwise": Asked("stepwise", 10),
-            "message_passing": Asked("socialgnn", 0.05, {"variant": "message_passing"}),
             "last_frame": Asked("last_frame", 0),
             "majority": Asked("majority", 0),
         }
