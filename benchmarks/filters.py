@@ -66,7 +66,7 @@ RULES: Final = (
          lambda case, most: max(case.found["stuck"]) <= most,
          (3, 6, 12, 24, 36, 60, 100), MAX_STUCK),
     Rule("nearest approach, sum of sizes", ("opposing",),
-         lambda case, below: case.found["closest"] < below,
+         lambda case, below: min(case.found["closest"].values()) < below,
          (0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 4.0), NEAR),
     Rule("agents that touch the item of their goal", ("competing",),
          lambda case, least: taking_part(case) >= least, (2, 1, 0), 2),
@@ -78,12 +78,11 @@ RULES: Final = (
 def real_case(event: Event, actions: Sequence[Sequence[str]]) -> Case:
     """Return what our filters see in a real video."""
     truth, n = event.truth, event.observation.n_frames
-    nothing = np.zeros((n, len(AGENTS)), bool)  # what is held is of no use to the filters
-    pushes = nothing.copy()
+    pushes = np.zeros((n, len(AGENTS)), bool)
     pushes[1 : 1 + len(actions)] = np.isin(actions[: n - 1], PUSHING)
     hypothesis = common.true_hypothesis(event)
     track = event.observation.trajectory
-    found = measures(Recording(event.scene, hypothesis, 0, track, pushes, nothing))
+    found = measures(Recording(event.scene, hypothesis, 0, track, pushes))
     reason = reason_against(truth.scenario, hypothesis, found)
     return Case(truth.scenario, hypothesis.effective_goals, found, reason)
 

@@ -115,7 +115,7 @@ def instant(
     nothing = np.zeros((frames, len(AGENTS)), bool)
     track = start + gone * (there - start)
     hypothesis = situation.roles
-    return Recording(situation.scene, hypothesis, situation.layout, track, nothing, nothing)
+    return Recording(situation.scene, hypothesis, situation.layout, track, nothing)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,7 @@ from phase_ppl.data.documents import read_json
 from phase_ppl.data.events_json import event_from_record
 from phase_ppl.data.events_netcdf import checksum, events_bytes
 from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN, GeneratedEvents
-from phase_ppl.data.generation.making import Part, make
-from phase_ppl.data.generation.plan import DrawRoles, Plan, Slot, cell_of, scaled
+from phase_ppl.data.generation.making import DrawRoles, Part, Plan, Slot, cell_of, make, scaled
 from phase_ppl.data.generation.situation import tables_of
 from phase_ppl.simulator.processes import Failure, results, slots_of
 from phase_ppl.world.errors import (

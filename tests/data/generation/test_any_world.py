@@ -405,8 +405,8 @@ def test_measures_are_of_all_agents_and_pairs() -> None:
     assert found["closest"]["red & purple"] == pytest.approx(
         apart.min() / (scene.radius[0] + scene.radius[2])
     )
-    assert tuple(found["met"]) == PAIRS
-    assert [len(found[key]) for key in ("touched", "stuck", "at_end", "moved")] == [3, 3, 3, 5]
+    assert tuple(found["closest"]) == PAIRS
+    assert [len(found[key]) for key in ("touched", "stuck", "at_end")] == [3, 3, 3]
 
 
 def test_the_unused_goal_of_a_helper_that_a_prior_draws_is_not_reached() -> None:
@@ -417,6 +417,6 @@ def test_the_unused_goal_of_a_helper_that_a_prior_draws_is_not_reached() -> None
     stated = tuple(map(TRIO.goal_index, ("red agent to home", FIELD, FIELD)))
     for helped in (None, (0, 1)):
         wanted = Hypothesis.coded(TRIO, stated, (None, None, helped), (450.0,) * 3)
-        found = making.measures(making.Recording(scene, wanted, 0, frames, nothing, nothing))
+        found = making.measures(making.Recording(scene, wanted, 0, frames, nothing))
         assert found["at_end"] == [True, False, helped is not None]
-        assert found["reached"] == [True, False, False]
+        assert making.reached(wanted, found) == [True, False, False]

@@ -23,7 +23,7 @@ from phase_ppl.data.generation import generate as module
 from phase_ppl.data.generation import making
 from phase_ppl.data.generation.families import family_of
 from phase_ppl.data.generation.generate import GenerationInterrupted, generate
-from phase_ppl.data.generation.plan import SPLITS, Plan, apportioned, scaled
+from phase_ppl.data.generation.making import SPLITS, Plan, apportioned, scaled
 from phase_ppl.data.generation.situation import PHASE500
 from phase_ppl.data.statistics import goal_type
 from phase_ppl.world.errors import (
@@ -126,7 +126,7 @@ def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_
         np.testing.assert_array_equal(first.observation.trajectory, second.observation.trajectory)
     assert one.entries == two.entries
     for entry in one.entries:
-        assert entry["measures"]["closest"] < 1.5
+        assert entry["measures"]["closest"]["red & green"] < 1.5
         assert entry["relation"] == "adversarial"
 
 
@@ -149,8 +149,9 @@ def test_the_manifest_says_how_each_event_and_its_copies_were_made(tmp_path: Pat
         assert (event.truth.goal_red, event.truth.goal_green) == (ppl.GOALS[red], ppl.GOALS[green])
         assert entry["split"] in SPLITS
         # measures are of the colours that are shown
-        steps = np.linalg.norm(np.diff(event.observation.positions, axis=0), axis=2)
-        np.testing.assert_allclose(entry["measures"]["moved"], steps.sum(axis=0))
+        literals = [goal_literal(goal, agent) for agent, goal in enumerate((red, green))]
+        last = event.observation.trajectory[-1]
+        assert entry["measures"]["at_end"] == [is_true(one, last, event.scene) for one in literals]
     assert {entry["agents_exchanged"] for entry in made.entries} == {True, False}
     for group in groups.values():
         looks = {(e["reflection"], e["agents_exchanged"], e["items_exchanged"]) for _, e in group}
