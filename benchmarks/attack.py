@@ -180,7 +180,7 @@ def call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
 
 def command(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
     event, post = str(folder / "event.json"), str(folder / "posterior.nc")
-    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
+    goals = ["--goal", "red agent=red agent to red lm", "--goal", "green agent=get to red agent"]
     tiny = ["--workers", "1", "--quiet", "--chains", "2"]
     lines = [
         ["infer", event, "--kernel", "prior_mh", "--iterations", "1", "--prior", "uniform", *tiny],

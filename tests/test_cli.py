@@ -194,7 +194,7 @@ def test_compare_takes_presets_beside_kernels(
 
 
 def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys: Capture) -> None:
-    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
+    goals = ["--goal", "red agent=red agent to red lm", "--goal", "green agent=get to red agent"]
     for name in ("event.json", "event.nc", "film.gif"):
         out = ["--out", tmp_path / name]
         told(capsys, "simulate", "collaborate", *goals, "--frames", 3, *out)
@@ -288,8 +288,8 @@ def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
 
 
 BAD_INPUT = [
-    ("simulate collaborate --goal-red 'Get blue item to red landmark' "
-     "--goal-green 'get to red agent' --out x.json", "Get blue item to red lm"),
+    ("simulate collaborate --goal 'red agent=Get blue item to red landmark' --out x.json",
+     "Get blue item to red lm"),
     ("infer nowhere.json", "nowhere.json"),
     ("infer collaborate --video other", "'other'"),
     ("infer collaborate --kernel local_hm", "'local_mh'"),
@@ -461,10 +461,8 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
     assert isinstance(truth, phase_ppl.Truth)
     assert truth.goal_green == "get away from red agent"
     for wrong, message in {
-        ("--goal-red", "get to Ann", "--goal-green", "get to Ben"): "agents of 'hut' are Ann, Ben",
+        (): "the Ann has no goal, and helps or hinders nobody",
         ("--goal", "Ann"): "'Ann' is not of the form NAME=GOAL",
-        ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
-        ("--goal", "Ann=a chat", "--alpha-red", "1"): "either --goal-red and --goal-green, or",
         ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
         ("--goal", "Ann=a chat", "--goal", "Ben=pot to fire", "--strength", "Ben=big"): "'big'",
     }.items():

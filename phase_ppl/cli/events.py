@@ -39,13 +39,7 @@ def simulate(options: Options) -> None:
 
     Args:
         $event
-        --goal-red GOAL: in PHASE
-        --alpha-red N: -1, 0 or 1; default 0
-        --strength-red X: newtons; default 450
-        --goal-green GOAL: in PHASE
-        --alpha-green N: -1, 0 or 1; default 0
-        --strength-green X: newtons; default 450
-        --goal NAME=GOAL...: in any world, of each agent that neither helps nor hinders
+        --goal NAME=GOAL...: of each agent that neither helps nor hinders
         --relation WHO=WORD=WHOM...: who helps or hinders whom, as in 'Ann=help=Ben'
         --strength NAME=NEWTON...: of an agent; default 450
         $planner
@@ -53,8 +47,8 @@ def simulate(options: Options) -> None:
         --overlapping: simulate even if bodies overlap at the start
         --out FILE: .json, .nc, .mp4 or .gif; required
 
-    example: phase-ppl simulate collaborate --goal-red 'Get blue item to red lm'
-      --goal-green 'get to red agent' --out simulated.mp4
+    example: phase-ppl simulate collaborate --goal 'red agent=blue item to red lm'
+      --relation 'green agent=help=red agent' --out simulated.mp4
     """
     suffix = options.suffix(*_EVENTS, *_FILMS)
     event = options.load()
@@ -71,29 +65,13 @@ def simulate(options: Options) -> None:
 
 def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
     """Return the hypothesis of the options."""
-    of_phase = [
-        f"{what}_{name}" for what in ("goal", "alpha", "strength") for name in ("red", "green")
-    ]
-    world = event.scene.world
-    if options.goal or options.relation or options.strength:
-        if options.given(*of_phase):
-            raise InvalidSettingError(
-                "give either --goal-red and --goal-green, or --goal, not parts of both"
-            )
-        relations = {}
-        for text in options.relation:
-            parts = [part.strip() for part in text.split("=")]
-            if len(parts) != 3:
-                raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
-            relations[parts[0], parts[2]] = parts[1]
-        return phase_ppl.Hypothesis.of(world, options.goal, relations, options.strength)
-    if world != phase_ppl.worlds.PHASE or None in (options.goal_red, options.goal_green):
-        raise InvalidSettingError(
-            "expected --goal-red and --goal-green, or, in any world, --goal NAME=GOAL; the agents "
-            f"of {world.name!r} are {', '.join(world.agents)}"
-        )
-    alpha = options.alpha_red or 0, options.alpha_green or 0
-    return phase_ppl.Hypothesis(**options.of(phase_ppl.Hypothesis, alpha=alpha))
+    relations = {}
+    for text in options.relation:
+        parts = [part.strip() for part in text.split("=")]
+        if len(parts) != 3:
+            raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
+        relations[parts[0], parts[2]] = parts[1]
+    return phase_ppl.Hypothesis.of(event.scene.world, options.goal, relations, options.strength)
 
 
 def render(options: Options) -> None:

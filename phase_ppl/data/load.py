@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import os
 from collections.abc import Callable, Sequence
 from importlib import resources
@@ -25,7 +23,6 @@ from phase_ppl.data.events_json import Entries, event_from_record, turned
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
-    PhasePPLError,
     check_name,
     instance_of,
 )
@@ -34,10 +31,6 @@ from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
 PathLike = str | os.PathLike[str]
-
-_LOOKED_AT: Final = 1000  # entries of a folder that was given instead of a file
-_TRIED: Final = 5  # files of it that are read, to say whether they are event files
-_SMALL: Final = 16 * 2**20  # largest of these, bytes
 
 _JSON: Final = ".json"
 _NETCDF: Final = ".nc"
@@ -115,25 +108,11 @@ def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Even
     return [_read(path, entry, turning) for entry in _entries(path)]
 
 
-def _inside(folder: Path) -> str:
-    """Return which of the first files of a folder are event files, in words; "": none."""
-    files, found = [], []
-    with contextlib.suppress(OSError):
-        first = itertools.islice(folder.iterdir(), _LOOKED_AT)
-        files = sorted(one for one in first if one.suffix in SUFFIXES and one.is_file())
-    for file in files[:_TRIED]:
-        with contextlib.suppress(PhasePPLError, OSError):
-            if file.stat().st_size <= _SMALL and _entries(file):
-                found.append(file.name)
-    are = "are event files" if len(found) > 1 else "is an event file"
-    return f"; {' and '.join(found)} in it {are}" if found else ""
-
-
 def _entries(path: PathLike) -> Entries:
     bundled = _bundled_name(path)
-    if bundled is None and (folder := as_path(path)).is_dir():
+    if bundled is None and as_path(path).is_dir():
         with naming(path):
-            raise InvalidEventError(f"is a folder, expected an event file{_inside(folder)}")
+            raise InvalidEventError("is a folder, expected an event file")
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]

@@ -104,10 +104,6 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, suffix: str) ->
     assert "no such file" in refused(tmp_path / f"none{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
     assert "is a folder, expected an event file" in refused(tmp_path / f"folder{suffix}")
-    (tmp_path / "other.json").write_text("{}")
-    assert refused(tmp_path).endswith("expected an event file")
-    save_event(load_event("collaborate"), tmp_path / f"dev{suffix}")
-    assert f"; dev{suffix} in it is an event file" in refused(tmp_path)
     (tmp_path / "file").touch()
     assert "cannot be read: Not a directory" in refused(tmp_path / "file" / "x.json")
 
