@@ -41,10 +41,6 @@ QUESTIONS: Final = {"goal_red": GOALS, "goal_green": GOALS, "relation": RELATION
 
 N_NAMED: Final = 10  # goals that an answer names for each agent
 
-REMAINING: Final = ("spread", "zero")
-"""Treatment of probability that an answer gives to no goal. "spread": evenly over the goals that it
-does not name. "zero": left out, and the named goals are scaled to sum 1."""
-
 _EXCERPT: Final = 200  # characters of a line about a request, at most
 _SUM_TOLERANCE: Final = 0.05
 _SUM_EXACT: Final = 1e-6
@@ -285,8 +281,10 @@ class Parsed(NamedTuple):
     repairs: tuple[str, ...]  # what was done to read it, a line each
 
 
-def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
-    """Return the probabilities that an answer gives; ``remaining`` is one of :data:`REMAINING`.
+def parse(text: str) -> Parsed:
+    """Return the probabilities that an answer gives.
+
+    What it gives to no goal is spread evenly over the goals that it does not name.
 
     Raises:
         AnswerError: it has a fault that is not repaired.
@@ -298,7 +296,7 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     except InvalidEventError as error:
         raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
     answers = _asked_for(document, repairs)
-    probabilities = {q: _distribution(q, answers[q], remaining, repairs) for q in QUESTIONS}
+    probabilities = {q: _distribution(q, answers[q], repairs) for q in QUESTIONS}
     return Parsed(probabilities, tuple(repairs))
 
 
@@ -343,7 +341,7 @@ def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | 
     return name
 
 
-def _distribution(question: str, shares: object, remaining: str, repairs: list[str]) -> FloatArray:
+def _distribution(question: str, shares: object, repairs: list[str]) -> FloatArray:
     labels = QUESTIONS[question]
     if not isinstance(shares, Mapping):
         raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
@@ -371,7 +369,7 @@ def _distribution(question: str, shares: object, remaining: str, repairs: list[s
         raise AnswerError(f"{question} sums to {total:.4g}, expected 1")
     if off > _SUM_EXACT:
         done = "scaled to 1"
-        if total < 1 and remaining == "spread" and unnamed.any():
+        if total < 1 and unnamed.any():
             values[unnamed] = (1 - total) / unnamed.sum()
             done = f"the rest spread over {unnamed.sum()} goals"
         repairs.append(f"{question} sums to {total:.4g}; {done}")

@@ -1,70 +1,66 @@
-"""Services that answer requests, through their own libraries: google-genai and openai.
+"""Google's service, which answers requests through its own library, google-genai.
 
-The libraries retry temporary failures, and ask for JSON. A key is read from the environment when a
-request is made, goes to the library alone, and is hidden in replies. Redirections are not followed,
-since they would take the request along. Answers are limited in size and time.
+The library retries temporary failures, and asks for JSON. The key is read from the environment when
+a request is made, goes to the library alone, and is hidden in replies. Redirections are not
+followed, since they would take the request along. Answers are limited in size and time.
 """
 
 from __future__ import annotations
 
-import base64
-import contextlib
 import dataclasses
 import importlib
-import ipaddress
 import os
-import re
 import time
-import urllib.parse
-import warnings
-from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from phase_ppl.models.vlm.request import NoReply, Reply, Request, in_a_line
-from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown
 
-SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
+LIBRARY: Final = "google.genai"  # the module that is needed
+MODEL: Final = "gemini-2.5-pro"  # the paper's
+BASE_URL: Final = "https://generativelanguage.googleapis.com"
+VARIABLES: Final = ("GOOGLE_API_KEY", "GEMINI_API_KEY")
+"""Environment variables that may hold the key; the first that does counts."""
 
 MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
 FIRST_WAIT: Final = 4.0
 LONGEST_WAIT: Final = 120.0
-"""First and longest wait before a retry, seconds; waits double. For Google's library, which ignores
-Retry-After; OpenAI's has its own."""
+"""First and longest wait before a retry, seconds; waits double."""
 
-_USUAL: Final[Mapping[str, Mapping[str, Any]]] = {
-    "google": {
-        "model": "gemini-2.5-pro",  # the paper's
-        "base_url": "https://generativelanguage.googleapis.com",
-        "variables": ("GOOGLE_API_KEY", "GEMINI_API_KEY"),
-        "show": "video",
-    },
-    "openai": {
-        "base_url": "https://api.openai.com/v1",
-        "variables": ("OPENAI_API_KEY",),
-        "show": "pictures",
-    },
-}
 _MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
-_NO_KEY: Final = "none"  # sent as the key to a server of one's own that asks for none
 _SECRET_LENGTH: Final = 12
-"""Shorter keys, such as "x" for a user's own server, are no secrets; hiding them would spoil the
-answers."""
+"""Shorter keys are no secrets; hiding them would spoil the answers."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Service:
-    """A service that is asked over the network through its library."""
+class Google:
+    """Google's service.
 
-    name: str  # one of ``SERVICES``
-    model: str  # as the service calls it
-    base_url: str
-    # the environment variables that may hold the key, the first that does counts
-    variables: tuple[str, ...]
-    show: str  # "video" or "pictures"
+    Raises:
+        InvalidSettingError: an option is out of range, or does not go with what is shown.
+    """
+
+    model: str = MODEL  # as the service calls it
+    show: str = "video"  # or "pictures"
     timeout: float = 300.0  # seconds from a request to the end of its answer
     temperature: float | None = None  # None: the service decides
     video_fps: float | None = None  # frames of the video that are looked at, per second; likewise
-    needs_key: bool = True  # whether it is an error if there is none
+    base_url: str = BASE_URL
+
+    def __post_init__(self) -> None:
+        for option, most in _MOST.items():
+            number, may_be_0 = getattr(self, option), option == "temperature"
+            if number is None:
+                continue
+            value = number_or_nan(number)
+            if not (0 < value <= most or (value == 0 and may_be_0)):
+                raise InvalidSettingError(
+                    f"{option}={shown(number)}, expected a number "
+                    f"{'>=' if may_be_0 else '>'} 0 and <= {most:g}"
+                )
+            object.__setattr__(self, option, value)
+        if self.video_fps is not None and self.show == "pictures":
+            raise InvalidSettingError("video_fps is for the video, but show='pictures'")
 
     def __call__(self, request: Request, retries: int = 0) -> Reply:
         """Return the answer to a request, made again by the library up to ``retries`` times.
@@ -78,9 +74,8 @@ class Service:
         failure: NoReply | InvalidSettingError
         guard = _Guard(key, self.timeout)
         client = {"follow_redirects": False, "event_hooks": guard.hooks}
-        ask = _google if self.name == "google" else _openai
         try:
-            reply = ask(self, request, retries, key, client)
+            reply = _asked(self, request, retries, key, client)
         except Exception as error:
             try:
                 failure = self._failure(error, key)
@@ -97,10 +92,10 @@ class Service:
         """Return what determines the answers, as plain data."""
         fields = ("model", "base_url", "show", "temperature", "video_fps")
         given = {field: getattr(self, field) for field in fields}
-        return {"client": self.name, **given, "answer": "json"}
+        return {"client": "google", **given, "answer": "json"}
 
     def _key(self) -> str:
-        for variable in self.variables:
+        for variable in VARIABLES:
             key = os.environ.get(variable, "").strip()
             if key and not (key.isascii() and key.isprintable()):
                 raise InvalidSettingError(
@@ -108,16 +103,13 @@ class Service:
                 )
             if key:
                 return key
-        if not self.needs_key:
-            return _NO_KEY
         raise InvalidSettingError(
-            f"client {self.name!r} needs its key in the environment variable "
-            f"{' or '.join(self.variables)}"
+            f"client 'google' needs its key in the environment variable {' or '.join(VARIABLES)}"
         )
 
     def _failure(self, error: Exception, key: str) -> NoReply | InvalidSettingError:
-        """Return an error of a library, or of what came, as one of ours."""
-        status = getattr(error, "status_code", getattr(error, "code", None))  # openai's, Google's
+        """Return an error of the library, or of what came, as one of ours."""
+        status = getattr(error, "code", None)
         if not isinstance(status, int):
             cause = error.__cause__ or error
             if isinstance(cause, NoReply):
@@ -128,10 +120,8 @@ class Service:
         where = f"{self.base_url} answers HTTP {status}"
         # the words of such answers like to repeat part of the key
         if status in (401, 403) or "API_KEY_INVALID" in str(getattr(error, "details", "")):
-            variables = " or ".join(self.variables) or "(none was sent)"
-            return InvalidSettingError(f"{where}: the key in {variables} is refused")
-        body = getattr(error, "body", None) or getattr(error, "message", None)
-        words = _line(str(body.get("message", body) if isinstance(body, Mapping) else body), key)
+            return InvalidSettingError(f"{where}: the key in {' or '.join(VARIABLES)} is refused")
+        words = _line(str(getattr(error, "message", None)), key)
         if status == 404:
             return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
         return NoReply(f"HTTP {status}: {words}")  # the library has tried again where that helps
@@ -149,10 +139,10 @@ def _line(words: str, key: str) -> str:
 
 
 class _Guard:
-    """Hooks that check what a library's HTTP client (httpx or httpx2) sends and receives.
+    """Hooks that check what the library's HTTP client (httpx or httpx2) sends and receives.
 
-    They limit the time from a request to the end of its answer. The libraries' own limits are per
-    piece of an answer: a server that sends a byte now and then keeps to them.
+    They limit the time from a request to the end of its answer. The library's own limit is per
+    piece of an answer: a server that sends a byte now and then keeps to it.
     """
 
     def __init__(self, key: str, timeout: float) -> None:
@@ -191,8 +181,8 @@ class _Guard:
         return self._refusal
 
 
-def _google(
-    service: Service, request: Request, retries: int, key: str, client: dict[str, Any]
+def _asked(
+    service: Google, request: Request, retries: int, key: str, client: dict[str, Any]
 ) -> Reply:
     from google import genai
     from google.genai import types
@@ -235,126 +225,3 @@ def _google(
         tokens_in=usage.prompt_token_count if usage else None,
         tokens_out=sum(written) if written else None,
     )
-
-
-def _openai(
-    service: Service, request: Request, retries: int, key: str, client: dict[str, Any]
-) -> Reply:
-    import openai
-
-    chosen = {} if service.temperature is None else {"temperature": service.temperature}
-    with openai.OpenAI(
-        api_key=key,
-        base_url=service.base_url,
-        timeout=service.timeout,
-        max_retries=retries,
-        http_client=openai.DefaultHttpxClient(**client),
-    ) as asked:
-        found: Any = asked.chat.completions.create(
-            model=service.model,
-            messages=[{"role": "user", "content": list(_openai_parts(request))}],
-            stream=False,
-            response_format={"type": "json_object"},
-            **chosen,
-        )
-    if isinstance(found, str):  # the library hands on, unchecked, whatever a server sends
-        return Reply(found)
-    choice = next(iter(getattr(found, "choices", None) or ()), None)
-    said, usage = getattr(choice, "message", None), getattr(found, "usage", None)
-    content, refusal = getattr(said, "content", None), getattr(said, "refusal", None)
-    finish = f"refusal: {refusal}" if refusal else getattr(choice, "finish_reason", None)
-    return Reply(
-        text="" if content is None else str(content),
-        finish=finish or getattr(found, "error", None),  # some servers send one with status 200
-        model=getattr(found, "model", None),
-        tokens_in=getattr(usage, "prompt_tokens", None),
-        tokens_out=getattr(usage, "completion_tokens", None),
-    )
-
-
-def _openai_parts(request: Request) -> Iterator[dict[str, Any]]:
-    for picture in request.pictures:
-        yield {"type": "text", "text": f"{picture.seconds:g} s"}
-        url = f"data:image/png;base64,{base64.b64encode(picture.png).decode()}"
-        yield {"type": "image_url", "image_url": {"url": url}}
-    yield {"type": "text", "text": request.prompt}
-
-
-# --- settings -------------------------------------------------------------------------------------
-
-
-def make_service(
-    name: object, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
-) -> Service:
-    """Return a service, ready to be asked.
-
-    ``given`` has the options ``timeout`` [s], ``temperature``, ``video_fps``, ``key_env`` and
-    ``base_url``, where they are not the usual ones.
-
-    Raises:
-        UnknownNameError: there is no such service.
-        InvalidSettingError: an option is out of range, or does not go with the service.
-    """
-    if not isinstance(name, str) or name not in SERVICES:
-        raise unknown_name("client", name, SERVICES)
-    settings: dict[str, Any] = dict(_USUAL[name])
-    for option, most in _MOST.items():
-        if option in given:
-            number, may_be_0 = number_or_nan(given[option]), option == "temperature"
-            if not (0 < number <= most or (number == 0 and may_be_0)):
-                raise InvalidSettingError(
-                    f"{option}={shown(given[option])}, expected a number "
-                    f"{'>=' if may_be_0 else '>'} 0 and <= {most:g}"
-                )
-            settings[option] = number
-    if name == "openai" and show == "video":
-        raise InvalidSettingError("show='video', but OpenAI's API takes pictures only")
-    if "video_fps" in given and (name != "google" or show == "pictures"):
-        raise InvalidSettingError("video_fps is for the video that Google gets")
-    named = {"model": model, "show": show}
-    settings |= {option: value for option, value in named.items() if value is not None}
-    if "model" not in settings:
-        raise InvalidSettingError("client 'openai' needs name=, what the service calls the model")
-    variable = given.get("key_env", "NONE")
-    if not isinstance(variable, str) or re.fullmatch("[A-Z_][A-Z0-9_]*", variable) is None:
-        raise InvalidSettingError(  # not showing what may be a key
-            "key_env is the name of the environment variable that holds the key, such as "
-            "OPENAI_API_KEY (capitals, digits, _); what was given is none"
-        )
-    if "key_env" in given:
-        settings["variables"] = (variable,)
-    if "base_url" in given:
-        address = given["base_url"]
-        settings |= {"base_url": address, "needs_key": "key_env" in given}
-        if _is_open(address) and to_be_asked:
-            words = (
-                f"base_url={shown(address)}: plain http:// to another machine; whoever is between"
-            )
-            if settings["needs_key"]:
-                raise InvalidSettingError(
-                    f"{words} could read the key: use https://, or a tunnel to localhost"
-                )
-            settings["variables"] = ()
-            warnings.warn(f"{words} can read and change everything; no key is sent", stacklevel=2)
-    return Service(name, **settings)
-
-
-def _is_open(address: object) -> bool:
-    """Whether traffic to an address is readable on its way: http to another machine.
-
-    An address with a secret in it is refused: settings are written into files.
-    """
-    text, host, secret = address if isinstance(address, str) else "", None, None
-    with contextlib.suppress(ValueError):
-        parts = urllib.parse.urlsplit(text)
-        host, secret = parts.hostname, parts.username or parts.password or parts.query
-    if secret:
-        raise InvalidSettingError(
-            "base_url has a user name, a password or a query; it must be an address alone"
-        )
-    if not host or not text.startswith(("http://", "https://")):
-        raise InvalidSettingError(f"base_url={shown(address)}, expected an address (https://...)")
-    here = host == "localhost"
-    with contextlib.suppress(ValueError):
-        here = ipaddress.ip_address(host).is_loopback
-    return text.startswith("http://") and not here

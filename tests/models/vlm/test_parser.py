@@ -61,23 +61,22 @@ def shares_of(total: float) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    ("total", "remaining", "named", "other", "repair"),
+    ("total", "named", "other", "repair"),
     [
-        (0.96, "spread", 0.96, 0.04 / 26, "0.96; the rest spread over 26 goals"),
-        (0.96, "zero", 1, 0, "0.96; scaled to 1"),
-        (1.05, "spread", 1, 0, "1.05; scaled to 1"),
+        (0.96, 0.96, 0.04 / 26, "0.96; the rest spread over 26 goals"),
+        (1.05, 1, 0, "1.05; scaled to 1"),
     ],
 )
 def test_a_little_that_is_missing_or_too_much_is_shared_out(
-    total: float, remaining: str, named: float, other: float, repair: str
+    total: float, named: float, other: float, repair: str
 ) -> None:
-    found = parse(text(goal_red=shares_of(total)), remaining)
+    found = parse(text(goal_red=shares_of(total)))
     values = found.probabilities["goal_red"]
     assert values[:10] == pytest.approx(named * np.array(SHARES))
     assert values[10:] == pytest.approx(other)
     assert f"goal_red sums to {repair}" in found.repairs[0]
     # relations are scaled, since none is unnamed
-    found = parse(text(relation=relation(0.33, 0.33, 0.33)), remaining)
+    found = parse(text(relation=relation(0.33, 0.33, 0.33)))
     assert found.probabilities["relation"] == pytest.approx([1 / 3] * 3)
 
 
