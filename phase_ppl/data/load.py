@@ -61,7 +61,7 @@ def load_event(
     Args:
         path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`),
             NetCDF (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
-            (:mod:`phase_ppl.data.authors.videos`). Only plain data are read from pickles; no code
+            (:mod:`phase_ppl.data.authors`). Only plain data are read from pickles; no code
             in them is run. Or the name of a bundled event, with or without ".json", if no file has
             that name.
         video: id of the wanted event; required if the file holds several.
@@ -121,10 +121,10 @@ def _entries(path: PathLike) -> Entries:
     with naming(path):
         if is_pickle(path):
             # imported only here, as it brings the simulator
-            from phase_ppl.data.authors import videos
+            from phase_ppl.data import authors
 
             with in_front("is a pickle (only pickles of PHASE's authors can be read): "):
-                entries = videos.read(path)
+                entries = authors.read(path)
         elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
             # likewise xarray
             from phase_ppl.data import events_netcdf

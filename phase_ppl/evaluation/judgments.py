@@ -45,7 +45,7 @@ from typing import Any, Final
 import msgspec
 import pandas as pd
 
-from phase_ppl.data.authors.videos import parse_name
+from phase_ppl.data.authors import parse_name
 from phase_ppl.data.documents import Keep, in_front, of_kind, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events

@@ -20,9 +20,13 @@ import msgspec
 from phase_ppl.data.documents import read_json
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import Answer, check_installed, register_model
-from phase_ppl.models.vlm.request import (
+from phase_ppl.models.vlm import (
+    LIBRARY,
+    LONGEST_WAIT,
+    MODEL,
     TEXT,
     Client,
+    Google,
     NoReply,
     Parsed,
     Reply,
@@ -33,7 +37,6 @@ from phase_ppl.models.vlm.request import (
     sha256,
     writable,
 )
-from phase_ppl.models.vlm.services import LIBRARY, LONGEST_WAIT, MODEL, Google
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -63,7 +66,7 @@ pause = time.sleep
 class Attempt(msgspec.Struct, kw_only=True, omit_defaults=True):
     """A request that was made, once or again by a service's library: a text came, or a failure.
 
-    What else is known is as of :class:`~phase_ppl.models.vlm.request.Reply`.
+    What else is known is as of :class:`~phase_ppl.models.vlm.Reply`.
     """
 
     time: str  # in UTC, ISO 8601
@@ -241,7 +244,7 @@ def vlm(
     Args:
         client: "google", whose key is in the environment variable GOOGLE_API_KEY or
             GEMINI_API_KEY; or a function that takes a
-            :class:`~phase_ppl.models.vlm.request.Request` and returns a text.
+            :class:`~phase_ppl.models.vlm.Request` and returns a text.
         name: of the model, as Google calls it, by default the paper's, gemini-2.5-pro. For a
             function, the name under which its answers are kept, by default its own.
         store: folder in which answers are kept; one that is there is not asked for again.
@@ -255,7 +258,7 @@ def vlm(
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
-            the goals; by default :data:`phase_ppl.models.vlm.request.TEXT`.
+            the goals; by default :data:`phase_ppl.models.vlm.TEXT`.
     """
     if client is None:
         raise InvalidSettingError("model 'vlm' needs client='google' or a function of a request")

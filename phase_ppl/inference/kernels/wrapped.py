@@ -1,6 +1,6 @@
 """Samplers of NumPyro: composable Gibbs, site by site, and samplers of real vectors.
 
-The latter see the model as a function of uniform numbers u (:mod:`phase_ppl.models.uniform`). They
+The latter see the model as a function of uniform numbers u (:mod:`phase_ppl.models.program`). They
 move on the whole real line, u = 1 / (1 + exp(-x)).
 """
 
@@ -32,8 +32,13 @@ from phase_ppl.inference.kernels.metropolis import (
 )
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
-from phase_ppl.models.program import EventProgram
-from phase_ppl.models.uniform import IMPOSSIBLE_POTENTIAL, dimensions, in_steps, sites_at
+from phase_ppl.models.program import (
+    IMPOSSIBLE_POTENTIAL,
+    EventProgram,
+    dimensions,
+    in_steps,
+    sites_at,
+)
 from phase_ppl.world.errors import InvalidSettingError, positive_number, whole_number
 
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]

@@ -18,8 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.data.authors import pickles
-from phase_ppl.data.authors.pickles import read_pickle, unpickled
+from phase_ppl.data import authors
+from phase_ppl.data.authors import read_pickle, unpickled
 from phase_ppl.data.load import load_events
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from tests.data.authors.pickles import name_of, processed, record
@@ -228,7 +228,7 @@ REFUSED: dict[str, list[bytes]] = {
         b"cnumpy.core.multiarray\n_reconstruct.__globals__\n.", b"cnumpy\nos\n.",
         b"\x80\x04" + text("numpy") + text("ndarray.__reduce__") + b"\x93.",
         b"ccopy_reg\n_reconstructor\n.", b"c" + b"x" * 5000 + b"\ny\n.",
-        b"cphase_ppl.data.authors.pickles\n_Reader\n.",
+        b"cphase_ppl.data.authors\n_Reader\n.",
     ],
     # an object of a class, a number that stands for one, something outside the file, a set
     "is damaged, or holds an object of a class, refused": [
@@ -350,16 +350,16 @@ def test_room_is_never_made_for_places_that_are_not_used() -> None:
 
 
 def test_too_much_and_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pickles, "MAX_OPCODES", 10)
+    monkeypatch.setattr(authors, "MAX_OPCODES", 10)
     assert unpickled(b"N0" * 4 + b"N.") is None
     assert "has more than 10 opcodes" in refused(b"N0" * 5 + b"N.")
     path = tmp_path / "x.pkl"
     with pytest.raises(InvalidEventError, match="no such file"):
         read_pickle(path)
     path.write_bytes(pickle.dumps([1, 2]))
-    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size)
+    monkeypatch.setattr(authors, "MAX_BYTES", path.stat().st_size)
     assert read_pickle(path) == [1, 2]
-    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size - 1)
+    monkeypatch.setattr(authors, "MAX_BYTES", path.stat().st_size - 1)
     with pytest.raises(InvalidEventError, match="is larger than the"):
         read_pickle(path)
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.data.authors.videos import (
+from phase_ppl.data.authors import (
     Place,
     Recorded,
     goal_string,

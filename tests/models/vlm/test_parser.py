@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.models.vlm.request import parse
+from phase_ppl.models.vlm import parse
 from phase_ppl.world.errors import AnswerError
 from phase_ppl.world.goals import GOALS
 from tests.models.vlm.answers import SHARES, answer, goals, text

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from phase_ppl.evaluation.registry import is_installed, ready
-from phase_ppl.models.vlm import services as of_services
-from phase_ppl.models.vlm.request import NoReply, Picture, Reply, Request, parse
-from phase_ppl.models.vlm.services import LIBRARY, Google
+from phase_ppl.models import vlm
+from phase_ppl.models.vlm import LIBRARY, Google, NoReply, Picture, Reply, Request, parse
 from phase_ppl.world.errors import AnswerError, InvalidSettingError
 from tests.evaluation.toys import still
 from tests.models.vlm.answers import from_google
@@ -194,7 +193,7 @@ def test_an_answer_that_takes_too_long_is_given_up(asked: Asked) -> None:
 def test_a_failure_without_words_is_named_by_its_kind(
     asked: Asked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_services, "in_a_line", lambda words: 1 / 0)
+    monkeypatch.setattr(vlm, "in_a_line", lambda words: 1 / 0)
     found = asked.failure(sends({"error": {"message": f"you sent {KEY}"}}, 503))
     assert str(found).endswith("ServerError")  # as the library calls it
     assert found.__context__ is None
@@ -203,7 +202,7 @@ def test_a_failure_without_words_is_named_by_its_kind(
 def test_an_answer_without_end_is_cut_and_one_that_would_unpack_to_much_refused(
     asked: Asked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_services, "MAX_REPLY", 2**20)
+    monkeypatch.setattr(vlm, "MAX_REPLY", 2**20)
     found = asked.failure(sends_for_ever(bytes(2**16)), retries=3)
     assert str(found) == "the answer is larger than the 1 MB that are read"
     assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)

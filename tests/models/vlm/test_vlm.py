@@ -22,8 +22,7 @@ from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.models import vlm as vlm_model
 from phase_ppl.evaluation.models.vlm import ANSWER, vlm
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.models.vlm.request import NoReply, Reply, Request
-from phase_ppl.models.vlm.services import Google
+from phase_ppl.models.vlm import Google, NoReply, Reply, Request
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
