@@ -168,7 +168,7 @@ def call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         (ppl.Event, {"scene": EVENT.scene, "observation": EVENT.observation}),
         (ppl.watch, {"scene": EVENT.scene, "model": None, "seed": 0, "threads": 1}),
         (ppl.report, {"folder": folder, "path": folder / "report.html"}),
-        (ppl.render.video, {"what": EVENT, "path": folder / "film.gif", "fps": 5}),
+        (ppl.render.video, {"what": EVENT, "path": folder / "film.mp4", "fps": 5}),
         (ppl.seconds, {"n": 3}),
         (ppl.Model, {"prior": "uniform", "simulator": walkers, "planner": None, "noise": "fresh"}),
     ]

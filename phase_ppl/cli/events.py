@@ -12,7 +12,7 @@ from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output, writable_folder
 
-_EVENTS, _FILMS = (".json", ".nc"), (".mp4", ".gif")  # endings of files
+_EVENTS, _FILMS = (".json", ".nc"), (".mp4",)  # endings of files
 _STRIP = 6  # frames of a film strip, if the event has that many
 
 
@@ -45,7 +45,7 @@ def simulate(options: Options) -> None:
         $planner
         --frames N: default: as long as the event
         --overlapping: simulate even if bodies overlap at the start
-        --out FILE: .json, .nc, .mp4 or .gif; required
+        --out FILE: .json, .nc or .mp4; required
 
     example: phase-ppl simulate collaborate --goal 'red agent=blue item to red lm'
       --relation 'green agent=help=red agent' --out simulated.mp4
@@ -82,9 +82,9 @@ def render(options: Options) -> None:
         --frame N: one frame as .png; 0 is the first, -1 the last
         | --strip N: N frames side by side as .png; default 6
         --fields-of-view: show what each agent can see
-        --out FILE: .mp4 or .gif, or .png for pictures; required
+        --out FILE: .mp4, or .png for pictures; required
 
-    example: phase-ppl render collaborate --fields-of-view --out collaborate.gif
+    example: phase-ppl render collaborate --fields-of-view --out collaborate.mp4
     """
     picture = options.suffix(*_FILMS, ".png") == ".png"
     which = options.given("frame", "strip")

@@ -32,7 +32,7 @@ from phase_ppl.world.errors import (
     PhasePPLError,
 )
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.picture import ENTITY_COLOURS, SCENARIO_COLOURS
+from phase_ppl.world.picture import SCENARIO_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
 
 
@@ -72,7 +72,7 @@ def test_observed_and_predicted_stand_beside_each_other_each_in_its_scene(tmp_pa
     predicted = make_trajectory(6)
     predicted[:, 3, :2] = (20.0, 16.0)
     other = Event(make_scene(walls=[]), Observation(predicted))
-    options = {"compare": other, "fps": 12, "frames_per_step": 2}
+    options = {"compare": other, "fps": 12, "frames_per_step": 2, "fields_of_view": True}
     video(make_event(n_frames=4), tmp_path / "both.mp4", **options)  # type: ignore[arg-type]
     about, frames = read(tmp_path / "both.mp4")
     assert "12 fps" in about
@@ -108,14 +108,13 @@ def picture(event: Event, path: Path, frame: int = 0) -> None:
 
 
 REFUSED: list[tuple[type[Exception], Write, str, dict[str, Any], str]] = [
-    *((OutputError, video, name, {}, f"{name}: expected a name in .mp4 or .gif")
+    *((OutputError, video, name, {}, f"{name}: expected a name in .mp4")
       for name in ("event.webp", "event")),
     (OutputError, picture, "event.jpg", {}, "event.jpg: expected a name in .png"),
     (OutputError, strip, "event.jpg", {"n": 2}, "event.jpg: expected a name in .png"),
     (OutputError, video, "none/event.mp4", {}, "cannot write .*none/event.mp4"),
     *((InvalidSettingError, video, "event.mp4", {"fps": fps}, f"fps={fps}") for fps in (0, np.nan)),
     (InvalidSettingError, video, "event.mp4", {"frames_per_step": 1.5}, "frames_per_step=1.5"),
-    (InvalidSettingError, video, "event.gif", {"fps": 60}, "fps=60, but a GIF has at most 50"),
     *((InvalidSettingError, strip, "strip.png", {"n": n}, f"n={n}, expected one of 1..4")
       for n in (0, 5)),
     *((InvalidSettingError, picture, "event.png", {"frame": n}, f"frame={n}, expected one of 0..3")
@@ -196,49 +195,6 @@ def test_a_film_strip_shows_the_way_since_the_picture_before(tmp_path: Path) -> 
     row, column = 200, 300 + 150 + round(6 * 12.5)  # (22, 8) in the second picture
     assert np.abs(picture[row, column].astype(int) - (215, 100, 110)).max() < 60
     assert tuple(picture[row, column - 300]) == WHITE
-
-
-# --- as GIF -----------------------------------------------------------------------------------
-
-
-def read_gif(path: Path) -> tuple[list[NDArray[np.uint8]], list[int]]:
-    """Return the frames of a GIF (row, column, colour) and how long each is shown, ms."""
-    frames, durations = [], []
-    with Image.open(path) as picture:
-        assert picture.format == "GIF"
-        assert picture.info["loop"] == 0  # for ever
-        for index in range(picture.n_frames):
-            picture.seek(index)
-            frames.append(np.asarray(picture.convert("RGB")))
-            durations.append(picture.info["duration"])
-    return frames, durations
-
-
-def test_a_gif_shows_what_is_drawn_at_20_frames_per_second(tmp_path: Path) -> None:
-    event = make_event(n_frames=3)
-    video(event, tmp_path / "event.gif", fields_of_view=True)
-    frames, durations = read_gif(tmp_path / "event.gif")
-    poses = between_frames(event.observation.trajectory, 5)
-    painter = Painter(event.scene, True)
-    assert durations == [50] * 11
-    for frame, pose in zip(frames, poses, strict=True):
-        drawn = np.asarray(painter.draw(pose)).astype(int)
-        difference = np.abs(frame - drawn).max(axis=2)
-        assert difference.mean() < 0.1
-        assert (difference > 40).sum() < 20  # pixels on an edge
-        for colour in ENTITY_COLOURS:  # plain areas are exact
-            assert (frame[(drawn == colour).all(axis=2)] == colour).all()
-    assert [p.name for p in tmp_path.iterdir()] == ["event.gif"]
-
-
-def test_a_gif_lasts_as_long_as_its_frames(tmp_path: Path) -> None:
-    for fps in (30, 7.5):
-        video(make_event(n_frames=7), tmp_path / "event.GIF", fps=fps, frames_per_step=1)
-        _, durations = read_gif(tmp_path / "event.GIF")
-        assert len(durations) == 7
-        assert sum(durations) == pytest.approx(1000 * 7 / fps, abs=20)
-    video(make_trajectory(1), tmp_path / "still.gif", make_scene())
-    assert len(read_gif(tmp_path / "still.gif")[0]) == 1
 
 
 # --- pictures of whole sets, and their videos -----------------------------------------------------
