@@ -195,13 +195,12 @@ def test_compare_takes_presets_beside_kernels(
 
 def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys: Capture) -> None:
     goals = ["--goal", "red agent=red agent to red lm", "--goal", "green agent=get to red agent"]
-    for name in ("event.json", "event.nc", "film.mp4"):
+    for name in ("event.json", "film.mp4"):
         out = ["--out", tmp_path / name]
         told(capsys, "simulate", "collaborate", *goals, "--frames", 3, *out)
-    first, second = (phase_ppl.load_event(tmp_path / f"event.{end}") for end in ("json", "nc"))
-    assert (first.observation.trajectory == second.observation.trajectory).all()
+    assert phase_ppl.load_event(tmp_path / "event.json").observation.n_frames == 3
     assert (tmp_path / "film.mp4").stat().st_size > 1000
-    for event, name in (("event.json", "a.mp4"), ("event.nc", "x.png")):
+    for event, name in (("event.json", "a.mp4"), ("event.json", "x.png")):
         told(capsys, "render", tmp_path / event, "--out", tmp_path / name)
         assert (tmp_path / name).stat().st_size > 1000
 
@@ -209,7 +208,7 @@ def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys:
 def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    short = tmp_path / "walk.nc"
+    short = tmp_path / "walk.json"
     plain, tinted = tmp_path / "plain.png", tmp_path / "a folder" / "tinted.png"
     phase_ppl.save_event(make_event(n_frames=3), short)
     for event, options, size in (

@@ -27,7 +27,7 @@ from phase_ppl.world.event import Observation
 from tests.analysis.readings import reading
 from tests.inference import runs
 from tests.simulator.toys import AT_REST, GO, SCENE, WEAK, drift
-from tests.world.examples import check_refused, make_event
+from tests.world.examples import check_refused
 
 ROOT = Path(__file__).parent.parent
 
@@ -187,15 +187,11 @@ def test_what_nearly_is_an_executor_is_refused_with_what_is_one(
 
 
 def test_files_are_read_without_locks(tmp_path: Path) -> None:
-    path, events = tmp_path / "run.nc", tmp_path / "events.nc"
-    post = runs.infer(iterations=1)
+    path, post = tmp_path / "run.nc", runs.infer(iterations=1)
     post.save(path)
-    ppl.save_events([make_event()], events)
-    with path.open("rb") as one, events.open("rb") as other:
-        for file in (one, other):
-            fcntl.flock(file, fcntl.LOCK_EX)
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
         runs.assert_same_draws(ppl.load_posterior(path).tree, post.tree)
-        assert len(ppl.load_events(events)) == 1
 
 
 def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_of_otherwise(

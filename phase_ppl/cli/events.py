@@ -12,7 +12,7 @@ from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output, writable_folder
 
-_EVENTS, _FILMS = (".json", ".nc"), (".mp4",)  # endings of files
+_EVENTS, _FILMS = ".json", ".mp4"  # endings of files
 _STRIP = 6  # frames of a film strip, if the event has that many
 
 
@@ -26,7 +26,7 @@ def goals(options: Options) -> None:
     """
     world = users_parts.taken(options.world or "PHASE", "world")
     if isinstance(world, str):
-        if Path(world).suffix in _EVENTS:
+        if Path(world).suffix == _EVENTS:
             world = phase_ppl.load_events(world)[0].scene.world
         else:
             world = phase_ppl.worlds.named(world)
@@ -45,18 +45,18 @@ def simulate(options: Options) -> None:
         $planner
         --frames N: default: as long as the event
         --overlapping: simulate even if bodies overlap at the start
-        --out FILE: .json, .nc or .mp4; required
+        --out FILE: .json or .mp4; required
 
     example: phase-ppl simulate collaborate --goal 'red agent=blue item to red lm'
       --relation 'green agent=help=red agent' --out simulated.mp4
     """
-    suffix = options.suffix(*_EVENTS, *_FILMS)
+    suffix = options.suffix(_EVENTS, _FILMS)
     event = options.load()
     hypothesis = _roles(options, event)
     given: dict[str, Any] = {"frames": event.observation.n_frames, "id": f"{event.id}-simulated"}
     given |= options.given("frames", "seed", "planner", "overlapping")
     simulated = phase_ppl.simulate(event.scene, hypothesis, **given)
-    if suffix in _EVENTS:
+    if suffix == _EVENTS:
         phase_ppl.save_event(simulated, options.out)
     else:
         phase_ppl.render.video(simulated, options.out)
@@ -86,7 +86,7 @@ def render(options: Options) -> None:
 
     example: phase-ppl render collaborate --fields-of-view --out collaborate.mp4
     """
-    picture = options.suffix(*_FILMS, ".png") == ".png"
+    picture = options.suffix(_FILMS, ".png") == ".png"
     which = options.given("frame", "strip")
     if which and not picture:
         raise InvalidSettingError(
@@ -145,11 +145,11 @@ def export(options: Options) -> None:
 
     Args:
         EVENTS...: files of events, or bundled events' names
-        --out FILE: .json or .nc; required
+        --out FILE: .json; required
 
     example: phase-ppl export collaborate compete --out two.json
     """
-    options.suffix(*_EVENTS)
+    options.suffix(_EVENTS)
     events = [event for path in options.events for event in phase_ppl.load_events(path)]
     phase_ppl.save_events(events, options.out)
     print(f"{len(events)} event{'s' * (len(events) != 1)} written to {options.out}")

@@ -65,6 +65,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final
@@ -291,6 +292,13 @@ def events_bytes(events: Sequence[Event]) -> bytes:
     for record in records:
         del record["format"]
     return to_text({"format": EVENTS_FORMAT, "events": records}).encode()
+
+
+def checksum(event: Event) -> str:
+    """Return the SHA-256 of all contents of an event, as hexadecimal digits."""
+    # names of judgments may be numbers; JSON has strings
+    record = json.loads(to_text(event_record(event), compact=True))
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def to_text(record: Mapping[str, Any], compact: bool = False) -> str:

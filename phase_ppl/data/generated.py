@@ -5,7 +5,7 @@
     DIR/
       plan.json           the settings
       parts/00007.json    one file per finished slot, until all are done
-      events.nc           all events, ragged in time
+      events.json         all events
       manifest.json       how each event was made
 
 A part is written whole or not at all. So interrupted generation goes on with the slots that have
@@ -23,9 +23,16 @@ from typing import Any, Final, Self, overload
 
 import msgspec
 
-from phase_ppl.data import events_netcdf
-from phase_ppl.data.documents import check_schema, converted, in_front, naming, read_json
-from phase_ppl.data.events_json import turned
+from phase_ppl.data import events_json
+from phase_ppl.data.documents import (
+    check_schema,
+    converted,
+    in_front,
+    naming,
+    read_document,
+    read_json,
+)
+from phase_ppl.data.events_json import checksum, turned
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from phase_ppl.world.picture import Printed
@@ -33,7 +40,7 @@ from phase_ppl.world.scene import Turning
 
 MANIFEST_SCHEMA: Final = "phase-ppl-manifest-1"
 
-EVENTS: Final = "events.nc"
+EVENTS: Final = "events.json"
 MANIFEST: Final = "manifest.json"
 PLAN: Final = "plan.json"
 
@@ -71,7 +78,7 @@ class GeneratedEvents(Printed, Sequence[Event]):
         self.manifest = read_manifest(self.path)
         self.entries: list[dict[str, Any]] = self.manifest["entries"]
         with naming(self.path / EVENTS):
-            self._stored = events_netcdf.read(self.path / EVENTS)
+            self._stored = events_json.read(read_document(self.path / EVENTS))
         if [id for id, _ in self._stored] != [entry["id"] for entry in self.entries]:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
@@ -110,6 +117,8 @@ class GeneratedEvents(Printed, Sequence[Event]):
         id, read = self._stored[index]
         with naming(self.path / EVENTS, id):
             event = read()
+            if checksum(event) != self.entries[index]["checksum"]:
+                raise InvalidEventError("its content is not what the manifest says: damaged")
         return event if self._turning is None else turned(event, self._turning)
 
     def _chosen(self, indices: Sequence[int]) -> Self:

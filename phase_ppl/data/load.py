@@ -6,13 +6,14 @@ import os
 from collections.abc import Callable, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
-from pathlib import Path
-from types import ModuleType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from phase_ppl.data import events_json
 from phase_ppl.data.documents import (
     check_ids,
+    event_id,
     in_front,
     is_pickle,
     naming,
@@ -26,16 +27,16 @@ from phase_ppl.world.errors import (
     check_name,
     instance_of,
 )
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PathLike = str | os.PathLike[str]
 
 _JSON: Final = ".json"
-_NETCDF: Final = ".nc"
-SUFFIXES: Final = (_JSON, _NETCDF)
-"""Endings of event files."""
 
 
 def bundled_events() -> list[str]:
@@ -59,11 +60,10 @@ def load_event(
     """Read one event.
 
     Args:
-        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`),
-            NetCDF (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
-            (:mod:`phase_ppl.data.authors`). Only plain data are read from pickles; no code
-            in them is run. Or the name of a bundled event, with or without ".json", if no file has
-            that name.
+        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`) or
+            a pickle of PHASE's authors (:mod:`phase_ppl.data.authors`). Only plain data are read
+            from pickles; no code in them is run. Or the name of a bundled event, with or without
+            ".json", if no file has that name.
         video: id of the wanted event; required if the file holds several.
         turning: "both", "ccw" or "cw" instead of the file's value.
 
@@ -116,8 +116,6 @@ def _entries(path: PathLike) -> Entries:
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
-    from phase_ppl.data.hdf5 import is_hdf5
-
     with naming(path):
         if is_pickle(path):
             # imported only here, as it brings the simulator
@@ -125,11 +123,6 @@ def _entries(path: PathLike) -> Entries:
 
             with in_front("is a pickle (only pickles of PHASE's authors can be read): "):
                 entries = authors.read(path)
-        elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
-            # likewise xarray
-            from phase_ppl.data import events_netcdf
-
-            entries = events_netcdf.read(path)
         else:
             entries = events_json.read(read_document(path))
         check_ids([name for name, _ in entries])
@@ -167,7 +160,7 @@ def _check_turning(turning: str | None) -> None:
 
 
 def save_event(event: Event, path: PathLike) -> None:
-    """Write ``event`` to a ".json" or ".nc" file; :func:`load_event` gives the same event back.
+    """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
 
     Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
 
@@ -176,11 +169,11 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions have no form in JSON, or the id is no
             printable text.
     """
-    _write(path, lambda form: form.event_bytes(event))
+    _write(path, lambda: events_json.event_bytes(event))
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
-    """Write several events to a ".json" or ".nc" file; :func:`load_events` gives them back.
+    """Write several events to a ".json" file; :func:`load_events` gives them back.
 
     Raises:
         OutputError: the file cannot be written.
@@ -192,18 +185,41 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
-    _write(path, lambda form: form.events_bytes(events))
+    _write(path, lambda: events_json.events_bytes(events))
 
 
-def _write(path: PathLike, content: Callable[[ModuleType], bytes]) -> None:
-    check_output(path, SUFFIXES)  # errors of the path come before errors of the content
-    form: ModuleType = events_json
-    if _is_netcdf(path):
-        from phase_ppl.data import events_netcdf as form  # which brings xarray: only where needed
+def _write(path: PathLike, content: Callable[[], bytes]) -> None:
+    check_output(path, (_JSON,))  # errors of the path come before errors of the content
     with naming(path):
-        made = content(form)
-    write_bytes(path, SUFFIXES, made)
+        made = content()
+    write_bytes(path, (_JSON,), made)
 
 
-def _is_netcdf(path: PathLike) -> bool:
-    return Path(path).suffix.lower() == _NETCDF
+def event_dataset(event: Event) -> xr.Dataset:
+    """Return an event's arrays as a Dataset, with names along its dimensions.
+
+    ``trajectory`` (time, entity, coord), ``radius`` (entity), ``walls`` (wall, end, xy),
+    ``landmark_centres`` (landmark, xy) and ``landmark_half_width`` (landmark) are in units of
+    length, angles in radians, ``time`` in seconds simulated. Attributes are ``event``, its id, and
+    ``truth`` as JSON.
+    """
+    import xarray as xr
+
+    instance_of("event", event, Event, "a phase_ppl.Event")
+    scene, world, truth = event.scene, event.scene.world, event.truth
+    arrays = {
+        "trajectory": (("time", "entity", "coord"), event.observation.trajectory.copy()),
+        "radius": ("entity", scene.radius.copy()),
+        "walls": (("wall", "end", "xy"), np.array(scene.walls)),
+        "landmark_centres": (("landmark", "xy"), scene.landmark_centres.copy()),
+        "landmark_half_width": ("landmark", np.array(scene.half_widths)),
+    }
+    names = {
+        "time": np.arange(event.observation.n_frames) / FRAMES_PER_SECOND,
+        "entity": list(world.entities),
+        "coord": ["x", "y", "angle"],
+        "landmark": list(world.landmark_names),
+        "xy": ["x", "y"],
+    }
+    known = {} if truth is None else {"truth": events_json.to_text(truth.to_dict(), compact=True)}
+    return xr.Dataset(arrays, names, {"event": event_id(event.id), **known})

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
+from phase_ppl.data.events_json import checksum
 from phase_ppl.data.generated import MANIFEST_SCHEMA, GeneratedEvents
 from phase_ppl.data.motion import moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.data.statistics import GOAL_TYPES, standard_error, statistics
@@ -56,13 +57,13 @@ def events() -> list[Event]:
 
 def made(events: list[Event], tmp_path: Path) -> GeneratedEvents:
     """Return them as a generated set: the second is a copy of the first."""
-    ppl.save_events(events, tmp_path / "events.nc")
+    ppl.save_events(events, tmp_path / "events.json")
     told = [
         {"family": "collab", "layout": 10, "split": "train", "reflection": "none"},
         {"family": "chasing", "layout": 8, "split": "mine", "reflection": "up-down"},
     ]
     entries = [
-        {"id": event.id, "group": "one", "checksum": "not looked at here", **entry}
+        {"id": event.id, "group": "one", "checksum": checksum(event), **entry}
         for event, entry in zip(events, told, strict=True)
     ]
     record = {"schema": MANIFEST_SCHEMA, "entries": entries}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.data.events_netcdf import checksum
+from phase_ppl.data.events_json import checksum
 from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
 from phase_ppl.data.generation.making import Plan
 from phase_ppl.data.load import save_events

@@ -15,8 +15,7 @@ from typing import Any, Final
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.data.documents import read_json
-from phase_ppl.data.events_json import event_from_record
-from phase_ppl.data.events_netcdf import checksum, events_bytes
+from phase_ppl.data.events_json import checksum, event_from_record, events_bytes
 from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN, GeneratedEvents
 from phase_ppl.data.generation.making import DrawRoles, Part, Plan, Slot, cell_of, make, scaled
 from phase_ppl.data.generation.situation import tables_of
@@ -97,7 +96,7 @@ def assemble(
         raise OutputError(f"{out}: no draw of any kind was kept")
     for event, entry in zip(events, entries, strict=True):
         entry["checksum"] = checksum(event)
-    write_bytes(out / EVENTS, (".nc",), events_bytes(events))
+    write_bytes(out / EVENTS, (".json",), events_bytes(events))
     write_json(
         out / MANIFEST,
         {

@@ -11,7 +11,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -239,11 +238,13 @@ def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path, whole: Genera
     assert [event.id for event in found[1:4]] == [entry["id"] for entry in found.entries[1:4]]
     turned = pickle.loads(pickle.dumps(ppl.load_events(tmp_path / "set", "cw")))
     assert {event.scene.turning for event in turned} == {"cw"}
-    with h5py.File(tmp_path / "set" / "events.nc", "r+") as file:
-        file["sha256"][3] = "0" * 64
+    stored = tmp_path / "set" / "events.json"
+    edited = json.loads(stored.read_text())
+    edited["events"][3]["trajectories"]["red agent"][1][0] += 1e-9
+    stored.write_text(json.dumps(edited))
     damaged = ppl.load_events(tmp_path / "set")
     assert damaged[2].id == found[2].id
-    with pytest.raises(InvalidEventError, match=rf"events\.nc, video {found[3].id}: its content"):
+    with pytest.raises(InvalidEventError, match=rf"events\.json, video {found[3].id}: its content"):
         damaged[3]
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     manifest["entries"].reverse()
