@@ -100,10 +100,6 @@ VIDEOS_FORMAT: Final = "phase-test-1"
 Entries = list[tuple[str, Callable[[], Event]]]
 """The events of a file: for each its id and the function that reads it."""
 
-ARRAYS: Final = ("start", "radius", "walls", "landmark_centres", "landmark_half_width", "arena")
-"""Arrays of a scene, which also has a text ``turning``, and perhaps ``resets_velocity``."""
-
-DOCUMENTS: Final = ("judgments", "predictions")  # with any content
 _LINE_CHARACTERS = 100
 
 
@@ -241,8 +237,8 @@ def event_record(event: Event) -> dict[str, Any]:
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world, truth = event.scene, event.scene.world, event.truth
     kept = world_in_files(world)
-    arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in ARRAYS}
-    arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
+    x0, x1, y0, y1 = np.asarray(scene.arena).tolist()
+    centres = scene.landmark_centres.tolist()
     tracks: Any = np.moveaxis(event.observation.trajectory, 1, 0)
     if event.observation.has_gaps:
         tracks = np.where(np.isnan(tracks), np.array(None), tracks)
@@ -250,35 +246,22 @@ def event_record(event: Event) -> dict[str, Any]:
         "format": EVENT_FORMAT,
         "id": event_id(event.id),
         **({} if kept is None else {"world": kept}),
-        "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
+        "scene": {
+            "arena": {"x": [x0, x1], "y": [y0, y1]},
+            "walls": np.asarray(scene.walls).tolist(),
+            "landmarks": dict(zip(world.landmark_names, centres, strict=True)),
+            "landmark_half_width": one_or_all(scene.half_widths.tolist()),
+            "turning": scene.turning,
+            **({"resets_velocity": True} if scene.resets_velocity else {}),
+            "radius": dict(zip(world.entities, scene.radius.tolist(), strict=True)),
+            "start": dict(zip(world.entities, scene.start.tolist(), strict=True)),
+        },
         "trajectories": dict(zip(world.entities, tracks.tolist(), strict=True)),
     }
     if truth is not None:
         record["truth"] = truth.to_dict()
-    given = ((name, getattr(event, name)) for name in DOCUMENTS)
-    return record | {name: dict(content) for name, content in given if content is not None}
-
-
-def scene_record(
-    arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False, world: World = PHASE
-) -> dict[str, Any]:
-    """Return the JSON object of a scene, given its :data:`ARRAYS` and its rules."""
-    return {
-        "arena": _arena_record(arrays["arena"]),
-        "walls": arrays["walls"],
-        "landmarks": dict(zip(world.landmark_names, arrays["landmark_centres"], strict=True)),
-        "landmark_half_width": arrays["landmark_half_width"],
-        "turning": turning,
-        **({"resets_velocity": True} if resets_velocity else {}),
-        "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
-        "start": dict(zip(world.entities, arrays["start"], strict=True)),
-    }
-
-
-def _arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
-    """Return the JSON object of x_min, x_max, y_min, y_max."""
-    x0, x1, y0, y1 = arena
-    return {"x": [x0, x1], "y": [y0, y1]}
+    given = {"judgments": event.judgments, "predictions": event.predictions}
+    return record | {name: dict(one) for name, one in given.items() if one is not None}
 
 
 def event_bytes(event: Event) -> bytes:
