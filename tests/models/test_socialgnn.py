@@ -25,18 +25,17 @@ from phase_ppl.models.socialgnn.graphs import (
     touching,
 )
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import Scene
-from tests.models.walks import START, eight, needs_torch, walk
+from tests.models.walks import eight, needs_torch, walk
 from tests.world.examples import walls
 
 with contextlib.suppress(ImportError):  # an extra
     import torch
 
-    from phase_ppl.models.socialgnn import network
     from phase_ppl.models.socialgnn.network import Ensemble, SocialGNN, fit
 
 SETTINGS = TrainingSettings(epochs=60, batch=8, learning_rate=0.02, decay=0.0)
@@ -77,18 +76,6 @@ def test_walls_are_context_and_in_the_original_landmarks_too() -> None:
     assert edges(found) == {edge for edge in edges(graphs()) if max(edge[1:]) < 4}
 
 
-def test_networks_see_units_radians_and_kinds() -> None:
-    event = walk(2, 1, n_frames=9)
-    found = graphs("extended").nodes
-    assert found.shape == (9, 8, 7)
-    np.testing.assert_allclose(found[0, 0], [14, 11, 0, 0, 0.3, 0.8, 0], atol=1e-6)
-    step = event.observation.positions[1, 0] - event.observation.positions[0, 0]
-    np.testing.assert_allclose(found[1, 0, 2:4], 12 * step, atol=1e-4)
-    np.testing.assert_array_equal(found[0, :, 6], [0, 0, 1, 1, 2, 2, 2, 2])
-    np.testing.assert_allclose(found[3, 4], [8.5, 19.5, 0, 0, 0, 2.5, 2])
-    np.testing.assert_array_equal(graphs("original").nodes, found[:, :4])
-
-
 def test_contact_is_being_near_with_no_wall_between() -> None:
     radius = np.array([0.8, 1.2, 1.01, 0.8])
     start = np.array([[15.0, 16, 0], [17.0, 16, 0], [9.0, 5, 0], [11.1, 5, 0]])
@@ -126,12 +113,6 @@ def test_an_example_is_the_event_with_its_answers() -> None:
         assert RELATIONS[made.relation] == truth.relation
         for one, other in zip(made.graphs, graphs("extended", event), strict=True):
             np.testing.assert_array_equal(one, other)
-
-
-def test_events_without_truth_teach_nothing() -> None:
-    event = dataclasses.replace(walk(0, 1), truth=None)
-    with pytest.raises(InvalidEventError, match=r"'0-1-6-False' has no truth"):
-        example(event, "extended")
 
 
 # --- learning ----------------------------------------------------------------------------------
@@ -186,23 +167,6 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
     assert torch.get_num_threads() == threads
 
 
-@needs_torch
-def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = network.loss
-    monkeypatch.setattr(network, "loss", lambda *given: right(*given) * float("nan"))
-    examples = [example(event, "original") for event in eight()]
-    with pytest.raises(InvalidSettingError, match=r"after 1 epochs with learning_rate=0\.02"):
-        network.fit(examples, examples, dataclasses.replace(SETTINGS, variant="original"), 0)
-
-
-@needs_torch
-def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal() -> None:
-    examples = [example(walk(0, 1), "extended")]
-    even = network.Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
-    assert network.loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
-    assert network.loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
-
-
 # --- answers -----------------------------------------------------------------------------------
 
 
@@ -237,18 +201,6 @@ def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> N
         np.testing.assert_allclose(
             said.relation[number].softmax(-1).numpy(), alone["relation"], atol=1e-5
         )
-
-
-@needs_torch
-def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
-    start = START.copy()
-    start[:, :2] = [[14, 15], [18, 15], [14, 9], [18, 9]]
-    scene = Scene(start, np.full(4, 0.8))
-    observation = Observation(np.stack([start, start]))
-    for variant in VARIANTS:
-        assert not len(frame_graphs(scene, observation, variant).edges)
-        found = Ensemble(Trained(variant, (random_member(variant),)))(scene, observation)
-        assert found["relation"].sum() == pytest.approx(1)
 
 
 # --- files -------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import os
 import re
 import subprocess
@@ -29,7 +28,6 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
-    PhasePPLError,
 )
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.picture import SCENARIO_COLOURS
@@ -108,19 +106,13 @@ def picture(event: Event, path: Path, frame: int = 0) -> None:
 
 
 REFUSED: list[tuple[type[Exception], Write, str, dict[str, Any], str]] = [
-    *((OutputError, video, name, {}, f"{name}: expected a name in .mp4")
-      for name in ("event.webp", "event")),
-    (OutputError, picture, "event.jpg", {}, "event.jpg: expected a name in .png"),
+    (OutputError, video, "event.webp", {}, "event.webp: expected a name in .mp4"),
     (OutputError, strip, "event.jpg", {"n": 2}, "event.jpg: expected a name in .png"),
     (OutputError, video, "none/event.mp4", {}, "cannot write .*none/event.mp4"),
-    *((InvalidSettingError, video, "event.mp4", {"fps": fps}, f"fps={fps}") for fps in (0, np.nan)),
-    (InvalidSettingError, video, "event.mp4", {"frames_per_step": 1.5}, "frames_per_step=1.5"),
-    *((InvalidSettingError, strip, "strip.png", {"n": n}, f"n={n}, expected one of 1..4")
-      for n in (0, 5)),
-    *((InvalidSettingError, picture, "event.png", {"frame": n}, f"frame={n}, expected one of 0..3")
-      for n in (4, -5)),
-    *((InvalidEventError, video, "event.mp4", {"compare": track}, "trajectory")
-      for track in (np.zeros((3, 4)), np.zeros((0, 4, 3)), np.full((3, 4, 3), np.nan))),
+    (InvalidSettingError, video, "event.mp4", {"fps": 0}, "fps=0"),
+    (InvalidSettingError, strip, "strip.png", {"n": 5}, "n=5, expected one of 1..4"),
+    (InvalidSettingError, picture, "event.png", {"frame": 4}, "frame=4, expected one of 0..3"),
+    (InvalidEventError, video, "event.mp4", {"compare": np.zeros((3, 4))}, "trajectory"),
 ]  # fmt: skip
 
 
@@ -174,9 +166,8 @@ def test_an_interrupted_video_leaves_the_old_one_and_an_encoder_that_fails_nothi
 # --- stills and film strips ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [1, 4])
-def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path, n: int) -> None:
-    event = make_event(n_frames=4)
+def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path) -> None:
+    event, n = make_event(n_frames=4), 4
     strip(event.observation, tmp_path / "strip.png", n=n, scene=event.scene)
     picture = np.asarray(Image.open(tmp_path / "strip.png"))
     assert picture.shape == (336, 300 * n, 3)
@@ -185,16 +176,6 @@ def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path, n: in
         blue_landmark = panel[62, 62].astype(int)
         assert np.abs(blue_landmark - (45, 45, 180)).max() < 5
         assert panel[300:].min() < 150  # the caption
-
-
-def test_a_film_strip_shows_the_way_since_the_picture_before(tmp_path: Path) -> None:
-    trajectory = make_trajectory(3)
-    trajectory[:, 3, :2] = [(24.0, 8.0), (19.0, 8.0), (18.0, 8.0)]
-    strip(trajectory, tmp_path / "strip.png", n=2, scene=make_scene(walls=[]))
-    picture = np.asarray(Image.open(tmp_path / "strip.png"))
-    row, column = 200, 300 + 150 + round(6 * 12.5)  # (22, 8) in the second picture
-    assert np.abs(picture[row, column].astype(int) - (215, 100, 110)).max() < 60
-    assert tuple(picture[row, column - 300]) == WHITE
 
 
 # --- pictures of whole sets, and their videos -----------------------------------------------------
@@ -245,17 +226,6 @@ def test_a_sheet_has_a_thumbnail_and_a_colour_for_each_event(tmp_path: Path) -> 
         assert 0.75 < picture.width / picture.height < 1, "it is about square"
 
 
-def test_sheets_that_cannot_be_made_are_refused(tmp_path: Path) -> None:
-    for events, name, options, said in (
-        ([], "sheet.png", {}, "no events"),
-        (named("a"), "sheet.png", {"columns": 0}, "columns=0"),
-        (named("a"), "sheet.gif", {}, "sheet.gif"),
-    ):
-        with pytest.raises(PhasePPLError, match=said):
-            contact_sheet(events, tmp_path / name, **options)  # type: ignore[arg-type]
-    assert not list(tmp_path.iterdir())
-
-
 # --- videos ------------------------------------------------------------------------------------
 
 
@@ -269,17 +239,6 @@ def test_every_event_gets_a_video_and_none_is_made_twice(tmp_path: Path) -> None
     assert videos(named("a", "b"), folder, workers=1) == files
     assert files[0].stat().st_mtime == 1
     assert sorted(folder.iterdir()) == files
-
-
-def test_ids_that_are_no_file_names_get_one_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = importlib.import_module("phase_ppl.render.video")
-    monkeypatch.setattr(module, "video", lambda _, path: path.touch())
-    ids = ("../up", "a/b", "a b", "A", "a", "x" * 300, ".hidden")
-    files = videos(named(*ids), tmp_path, workers=1)
-    assert len({file.name.lower() for file in files}) == len(ids)
-    assert sorted(files) == sorted(tmp_path.iterdir())
 
 
 def test_two_videos_of_one_name_are_refused(tmp_path: Path) -> None:

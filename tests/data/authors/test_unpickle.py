@@ -70,7 +70,7 @@ def array(shape: bytes, dtype: bytes = F8, content: bytes = EIGHT) -> bytes:
     return EMPTY + b"(K\x01" + shape + dtype + b"\x89" + content + b"tb."
 
 
-PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
+PROTOCOLS = (0, 2, pickle.HIGHEST_PROTOCOL)
 
 
 @pytest.fixture(autouse=True)
@@ -318,13 +318,6 @@ def test_what_is_not_plain_data_is_refused(message: str) -> None:
         assert message in refused(content), content[:60]
 
 
-def test_the_parts_of_those_arrays_are_right() -> None:
-    assert unpickled(array(b"K\x01\x85")).tolist() == [0.0]
-    made = from_buffer(EIGHT, F8, b"K\x01K\x01\x86", b"VK\n", b"K\x01K\x00\x86")
-    assert unpickled(made).tolist() == [[0.0]]
-    assert unpickled(b"c_codecs\nencode\n(VA\nVlatin1\ntR.") == b"A"
-
-
 def test_an_extension_that_python_knows_is_refused_too() -> None:
     copyreg.add_extension("os", "mkdir", 200)
     try:
@@ -389,7 +382,7 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("content", [*map(videos, PROTOCOLS), OLD, OLD_BINARY], ids=range(8))
+@pytest.mark.parametrize("content", [*map(videos, PROTOCOLS), OLD, OLD_BINARY], ids=range(5))
 def test_a_damaged_file_is_read_or_refused(content: bytes) -> None:
     rng = random.Random(len(content))
     found = [complaint(damaged(content, rng)) for _ in range(250)]

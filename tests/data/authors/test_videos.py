@@ -76,11 +76,6 @@ def test_videos_and_records_become_what_they_show(tmp_path: Path, copy: int | No
     assert event.judgments is None
 
 
-def test_the_made_up_angles_are_spoiled_before_they_are_repaired() -> None:
-    spoiled = np.array(processed(3)["trajectories"][1])[:, 4]
-    assert np.ptp(np.unwrap(spoiled) - expected(3).trajectory[:, 0, 2]) > 1
-
-
 def test_ids_are_stamp_and_place_or_what_the_name_says(tmp_path: Path) -> None:
     event = load_event(write(tmp_path, record(None), "mine.pik"))
     assert (event.id, event.truth) == ("mine", None)
@@ -116,14 +111,7 @@ def test_the_way_agents_turn_is_read_off_their_angles(tmp_path: Path) -> None:
     assert event.scene.turning == "ccw"
 
 
-def test_all_tracks_may_be_one_array(tmp_path: Path) -> None:
-    video = processed(1)
-    video["trajectories"] = np.stack([track[:FRAMES] for track in video["trajectories"]])
-    (event,) = load_events(write(tmp_path, [video], protocol=5))
-    assert_shows(event, 1)
-
-
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("protocol", [0, pickle.HIGHEST_PROTOCOL])
 def test_a_pickle_is_known_by_its_content_whatever_its_name(tmp_path: Path, protocol: int) -> None:
     for name in ("Videos", "videos.json", "videos.pkl"):
         (event,) = load_events(write(tmp_path, [processed(None)], name, protocol))
@@ -158,32 +146,20 @@ def test_the_original_file_shows_what_its_conversion_says() -> None:
 TRACKS = processed(None)["trajectories"]
 NAME = name_of(None)
 BAD: dict[str, list[Any]] = {
-    "videos: Expected 'array', got 'str'": ["videos"],
     "the list is empty": [[]],
-    "videos[0]: Expected 'object', got 'array'": [[[1, 2]]],
     "videos[0]: Object missing required field 'name'": [[{}]],
-    "videos[0].name: Expected 'str', got 'int'": [[{"name": 7}]],
     "id is 'a\\nb', expected printable": [[{"name": "a\nb"}]],
     "missing required field 'trajectories'": [[{"name": "x"}]],
 }
 FIELDS: dict[str, list[dict[str, Any]]] = {
-    "trajectories is no list of tracks": [{"trajectories": {0: 1}}],
     "trajectories has 3 tracks, expected 4": [{"trajectories": TRACKS[:3]}],
-    "trajectories[1] has shape (40, 4), expected ('n', 5)": [
-        {"trajectories": [track[:, :4] for track in TRACKS]}
-    ],
     "trajectories[1][0, 1] is nan, expected a finite number": [
         {"trajectories": [np.where(np.arange(5) == 1, np.nan, track) for track in TRACKS]}
     ],
-    "the red agent is at (34, 28) in frame 0, outside": [
-        {"trajectories": [track + 20 for track in TRACKS]}
-    ],
     "expected blue lm, green lm": [{"landmark_centers": [[8.5, 4.5]] * 4}],
-    "scene.landmark_centres has shape (1, 2)": [{"landmark_centers": [[1, 2]]}],
     "trajectories have [40, 9, 47, ": [
         {"trajectories": [TRACKS[0][:9], *TRACKS[1:]]}
     ],
-    "no fewer of items": [{"trajectories": [*TRACKS[:3], TRACKS[3][:9]]}],
     "sizes has shape (2,), expected (4,)": [{"entity_sizes": [1, 2]}],
     "sizes must lie in": [{"entity_sizes": [0, 1, 1, 1]}, {"entity_sizes": [1e-300, 1, 1, 1]}],
     "entity_color_code: Expected 'object', got 'array'": [{"entity_color_code": [0, 1]}],
@@ -192,14 +168,12 @@ FIELDS: dict[str, list[dict[str, Any]]] = {
         for code in ({0: 0, 1: 1}, {0: 0, 1: 1, 3: 2, 4: 5}, {0: 1, 1: 1, 3: 2, 4: 3},
                      {0: 2, 1: 2, 2: 3})
     ],
-    "scene.walls has shape (1, 3), expected": [{"wall_segs": [[1, 2, 3]]}],
     "social_goals: ": [{"social_goals": "friends"}, {"social_goals": np.arange(3)}],
     "is none of the paper's": [
         {"name": NAME.replace(*change)}
         for change in (("'TE', 1, 0", "'TE', 1, 2"), ("LMO", "LMX"), ("0, 2, 1", "0, 4, 1"))
     ],
     "expected one per agent": [{"name": NAME.replace("['TE', 1, 0, 1]", "['stop']")}],
-    "of more than 1000 characters": [{"name": "x" * 2000}],
 }  # fmt: skip
 
 
@@ -294,14 +268,7 @@ def test_an_agent_that_turns_one_way_now_and_then(
     np.testing.assert_allclose(got, wanted + whole, atol=1e-9)
 
 
-def test_frames_that_pass_the_cut_are_wrong_before() -> None:
-    angles = turning([1] * 10, 0.8, -1.0)
-    off = spoiled(angles) - averaged(angles, 1)
-    assert ((off % TURN > 0.1) & (off % TURN < TURN - 0.1)).sum() == 2
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
-@pytest.mark.parametrize("radius", SIZES)
+@pytest.mark.parametrize(("n", "radius"), [(1, 0.8), (4, 1.6)])
 def test_an_agent_that_passes_the_cut_forth_and_back_within_a_frame(n: int, radius: float) -> None:
     for cut, side in itertools.product((0.0, -TURN), (1, -1)):
         angles = np.full(101, cut - 0.02 * side)
@@ -309,12 +276,6 @@ def test_an_agent_that_passes_the_cut_forth_and_back_within_a_frame(n: int, radi
         got, wanted = repaired(spoiled(angles), radius), averaged(angles, 1)
         turns = np.round((got - wanted)[0] / TURN)
         np.testing.assert_allclose(got, wanted + TURN * turns, atol=1e-9)
-
-
-def test_an_agent_at_rest_and_angles_that_were_never_wrapped_are_left_alone() -> None:
-    still = [np.full(20, angle) for angle in (0.0, -1e-12, -TURN, -TURN / 5, -4 * TURN / 5)]
-    for angles in (*still, np.array([-0.3, -0.1, 0.2, -5.0, -0.1])):
-        np.testing.assert_array_equal(repaired(angles, 0.8), angles)
 
 
 @needs_dev

@@ -20,7 +20,6 @@ from phase_ppl.data.generation.families import (
 )
 from phase_ppl.data.generation.making import (
     AFTER_MOTION,
-    MAX_STUCK,
     REFLECTIONS,
     SHORTEST,
     Plan,
@@ -252,18 +251,6 @@ def test_partners_and_rivals_must_both_touch_the_item_that_they_want() -> None:
     made.trajectory[10:, 1, :2] = 16.0, 20.0
     assert verdict(made, "competing") is None
     assert verdict(made, "collaborative") == "a goal is not reached"
-
-
-def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
-    frames, green = MAX_STUCK + 2, "Get green agent to green lm"
-    made = recording(walk(0, (8.5, 19.0), frames), green=green)
-    made.trajectory[:, 1, 1] += 5 * (np.arange(frames) > 0)
-    assert measures(made)["stuck"] == [0, MAX_STUCK]
-    assert verdict(made, "independent") is None
-    made.trajectory[1, 1, 1] = START[1, 1]
-    made.trajectory[2, 1, 1] = START[1, 1] + 5
-    longer = np.concatenate([made.trajectory, made.trajectory[-1:].repeat(2, 0)])
-    assert verdict(recording(longer, green=green), "independent") == "an agent is stuck"
 
 
 def test_recordings_end_soon_after_the_last_motion() -> None:
