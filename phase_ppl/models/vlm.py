@@ -13,13 +13,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import importlib
 import io
 import json
 import os
 import re
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -223,7 +221,7 @@ class Reply:
     text: str  # as it came; empty where there is none
     finish: str | None = None  # why the text ends there, in the service's words
     model: str | None = None  # what answered, in the service's words, such as a version
-    # tokens, as the service counts them; None: not given, or no whole number
+    # tokens, as the service counts them; None: not given
     tokens_in: int | None = None
     tokens_out: int | None = None
     requests: int = 1  # how many were made until it came
@@ -232,13 +230,6 @@ class Reply:
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
-        # servers may send fields of any type: one must not cost the answer
-        for name in ("finish", "model"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, None if given is None else str(given))
-        for name in ("tokens_in", "tokens_out"):
-            count = number_or_nan(getattr(self, name))
-            object.__setattr__(self, name, int(count) if count.is_integer() else None)
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
@@ -385,7 +376,7 @@ def _distribution(question: str, shares: object, repairs: list[str]) -> FloatArr
 # --- Google's service, through its own library, google-genai --------------------------------------
 # The library retries temporary failures, and asks for JSON. The key is read from the environment
 # when a request is made, goes to the library alone, and is hidden in replies. Redirections are not
-# followed, since they would take the request along. Answers are limited in size and time.
+# followed, since they would take the request along.
 
 LIBRARY: Final = "google.genai"  # the module that is needed
 MODEL: Final = "gemini-2.5-pro"  # the paper's
@@ -393,7 +384,6 @@ BASE_URL: Final = "https://generativelanguage.googleapis.com"
 VARIABLES: Final = ("GOOGLE_API_KEY", "GEMINI_API_KEY")
 """Environment variables that may hold the key; the first that does counts."""
 
-MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
 FIRST_WAIT: Final = 4.0
 LONGEST_WAIT: Final = 120.0
 """First and longest wait before a retry, seconds; waits double."""
@@ -413,7 +403,7 @@ class Google:
 
     model: str = MODEL  # as the service calls it
     show: str = "video"  # or "pictures"
-    timeout: float = 300.0  # seconds from a request to the end of its answer
+    timeout: float = 300.0  # seconds to wait for an answer, or for its next piece
     temperature: float | None = None  # None: the service decides
     video_fps: float | None = None  # frames of the video that are looked at, per second; likewise
     base_url: str = BASE_URL
@@ -443,8 +433,8 @@ class Google:
         key = self._key()
         _ = request.video if self.show == "video" else request.pictures  # that fails by itself
         failure: NoReply | InvalidSettingError
-        guard = _Guard(key, self.timeout)
-        client = {"follow_redirects": False, "event_hooks": guard.hooks}
+        made: list[Any] = []  # requests, by the library's own count
+        client = {"follow_redirects": False, "event_hooks": {"request": [made.append]}}
         try:
             reply = _asked(self, request, retries, key, client)
         except Exception as error:
@@ -454,9 +444,9 @@ class Google:
                 failure = NoReply(type(error).__name__)
         else:
             parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
-            return Reply(**parts | {"requests": guard.requests})
+            return Reply(**parts | {"requests": len(made)})
         if isinstance(failure, NoReply):
-            failure.requests = max(1, guard.requests)
+            failure.requests = max(1, len(made))
         raise failure  # from here it has no context, which would hold the request with its key
 
     def named(self) -> dict[str, Any]:
@@ -483,8 +473,6 @@ class Google:
         status = getattr(error, "code", None)
         if not isinstance(status, int):
             cause = error.__cause__ or error
-            if isinstance(cause, NoReply):
-                return NoReply(_line(str(cause), key), cause.again)
             # pydantic's words have pieces of what was sent
             words = "an answer of another form" if hasattr(cause, "error_count") else str(cause)
             return NoReply(_line(f"{type(cause).__name__}: {words}", key), again=True)
@@ -507,49 +495,6 @@ def _hidden(given: Any, key: str) -> Any:
 def _line(words: str, key: str) -> str:
     # hidden before shortening, which could leave half of the key
     return in_a_line(_hidden(words, key))
-
-
-class _Guard:
-    """Hooks that check what the library's HTTP client (httpx or httpx2) sends and receives.
-
-    They limit the time from a request to the end of its answer. The library's own limit is per
-    piece of an answer: a server that sends a byte now and then keeps to it.
-    """
-
-    def __init__(self, key: str, timeout: float) -> None:
-        self.requests = 0
-        self.hooks = {"request": [self._sent], "response": [self._answered]}
-        self._key, self._timeout, self._end = key, timeout, 0.0
-        self._refusal: NoReply | None = None
-
-    def _sent(self, request: Any) -> None:
-        if self._refusal is not None:  # the library retries after any error
-            raise self._refusal
-        self.requests += 1
-        self._end = time.monotonic() + self._timeout
-        request.headers["Accept-Encoding"] = "identity"  # an answer is as large as what is sent
-
-    def _answered(self, response: Any) -> None:
-        """Read the answer, and hand it to the library without the key."""
-        if response.headers.get("content-encoding", "identity").lower() != "identity":
-            raise self._refused("the answer is compressed, which was not asked for")
-        content = bytearray()
-        for piece in response.stream:
-            content += piece
-            if len(content) > MAX_REPLY:
-                most = MAX_REPLY // 2**20
-                raise self._refused(f"the answer is larger than the {most} MB that are read")
-            if time.monotonic() > self._end:
-                raise NoReply(f"no complete answer within {self._timeout:g} s", again=True)
-        response.stream.close()
-        if len(self._key) >= _SECRET_LENGTH:  # libraries write what they get into logs
-            content = content.replace(self._key.encode(), b"[key]")
-        library = importlib.import_module(type(response).__module__.partition(".")[0])
-        response.stream = library.ByteStream(bytes(content))
-
-    def _refused(self, words: str) -> NoReply:
-        self._refusal = NoReply(words)
-        return self._refusal
 
 
 def _asked(

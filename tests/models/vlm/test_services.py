@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import pytest
 
 from phase_ppl.evaluation.registry import is_installed, ready
-from phase_ppl.models import vlm
 from phase_ppl.models.vlm import LIBRARY, Google, NoReply, Picture, Reply, Request
 from phase_ppl.world.errors import InvalidSettingError
 from tests.evaluation.toys import still
@@ -23,7 +22,6 @@ from tests.models.vlm.server import (
     running,
     says_nothing,
     sends,
-    sends_for_ever,
 )
 
 KEY = "sk-secret-0123456789abcdef"
@@ -146,23 +144,10 @@ del CUT["usageMetadata"]["candidatesTokenCount"]
 
 def test_an_answer_that_takes_too_long_is_given_up(asked: Asked) -> None:
     asked.service()  # imports the library
-    for behaviour in (says_nothing, sends_for_ever(b" ", 0.05)):
-        with running() as server:  # of its own: what is given up may come to it later
-            found = asked._replace(server=server).failure(behaviour, timeout=0.2)
-        assert found.again
-        assert re.search(r"0\.2 s|[Tt]imeout|timed out", str(found))
-
-
-def test_an_answer_without_end_is_cut_and_one_that_would_unpack_to_much_refused(
-    asked: Asked, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(vlm, "MAX_REPLY", 2**20)
-    found = asked.failure(sends_for_ever(bytes(2**16)), retries=3)
-    assert str(found) == "the answer is larger than the 1 MB that are read"
-    assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)
-    found = asked.failure(sends("{}", content_encoding="gzip"))
-    assert str(found) == "the answer is compressed, which was not asked for"
-    assert asked.server.seen[0].headers["accept-encoding"] == "identity"
+    with running() as server:  # of its own: what is given up may come to it later
+        found = asked._replace(server=server).failure(says_nothing, timeout=0.2)
+    assert found.again
+    assert re.search(r"[Tt]imeout|timed out", str(found))
 
 
 def test_a_redirection_is_not_followed_and_where_nobody_listens_may_somebody_later(
