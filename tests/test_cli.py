@@ -564,15 +564,10 @@ class TestOwnParts:
     @pytest.mark.parametrize(
         ("given", "said"),
         [
-            ("--simulator joint", "--simulator joint: expected FILE.py:NAME"),
-            ("--simulator FILE", "mine.py: expected"),
             ("--simulator FILE:stil", "did you mean 'still'?"),
-            ("--likelihood radal", "did you mean 'radial'?"),
             ("--likelihood radial:beta", "'beta' in 'radial:beta' is no OPTION=VALUE"),
             ("--likelihood stepwise:speed=1", "unexpected keyword argument 'speed'"),
-            ("--likelihood FILE:flat:beta=1", "is an object, which takes no settings"),
             ("--model stepwise --likelihood radial", "is not that of --model stepwise"),
-            ("--model stepwise --kernel smc --likelihood radial", "not that of --model stepwise"),
             ("--model simple --likelihood stepwise", "is not that of --model simple"),
             ("--simulator FILE:still --planner fast", "planner applies to the joint simulator"),
         ],

@@ -95,17 +95,3 @@ def test_pickles_of_the_authors_are_described_and_read(tmp_path: Path, capsys: C
     assert told(capsys, *arguments) == f"2 events written to {out}\n"
     assert "Videos: 2 events\n" in told(capsys, "describe", path)
     assert len(phase_ppl.load_events(out)) == 2
-
-
-def test_bad_input_is_answered_in_one_line(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for arguments, message in {
-        "collaborate --out x.csv": "ending in .json",
-        "collaborate": "--out",
-        "nobody --out x.json": "nobody: no such file",
-        "collaborate collaborate --out x.json": "two videos with",
-    }.items():
-        assert message in fails(capsys, "export", *arguments.split())
-    assert not any(tmp_path.iterdir())

@@ -147,44 +147,6 @@ def test_a_daemonic_process_does_without_others(monkeypatch: pytest.MonkeyPatch)
         assert all(result.completed for result in runner.run([GO, WEAK], [1, 2]))
 
 
-def test_workers_cannot_begin_in_a_folder_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    tmp_path.rmdir()
-    with (
-        pytest.raises(InvalidSettingError, match=r"folder is gone.* workers=1, which needs none"),
-        Runner(drift, SCENE, AT_REST, workers=2) as runner,
-    ):
-        runner.run([GO], [1])
-
-
-class Client:
-    def submit(self, *given: Any) -> str:
-        return "a future of its own"
-
-
-class Dask(Client):
-    def get_executor(self) -> None: ...
-
-
-@pytest.mark.parametrize(
-    ("executor", "message"),
-    [
-        (Dask(), r"is a client; its executor is client\.get_executor\(\)"),
-        (Client(), "its submit gives 'a future of its own', expected a concurrent.futures.Future"),
-    ],
-)
-def test_what_nearly_is_an_executor_is_refused_with_what_is_one(
-    executor: Any, message: str
-) -> None:
-    with (
-        pytest.raises(InvalidSettingError, match=message),
-        Runner(drift, SCENE, AT_REST, executor=executor) as runner,
-    ):
-        runner.run([GO], [1])
-
-
 def test_files_are_read_without_locks(tmp_path: Path) -> None:
     path, post = tmp_path / "run.nc", runs.infer(iterations=1)
     post.save(path)

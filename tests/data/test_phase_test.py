@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -109,24 +108,12 @@ CHANGES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("observed", "n_frames"), 6, "observed.n_frames is 6"),
     (("observed", "entities"), [], "observed.entities has no red agent and no green"),
     (
-        ("observed", "entities", 0),
-        {"name": "red agent"},
-        "observed.entities[0]: Object missing required field 'radius'",
-    ),
-    (
         ("observed", "entities", 0, "name"),
         "blue item",
         "observed.entities has twice the name 'blue item'",
     ),
-    (("observed", "entities", 0, "name"), "red item", "'red item'; did you mean"),
-    (
-        ("observed", "entities", 1, "radius"),
-        "big",
-        "observed.entities[1].radius: Expected 'float', got 'str'",
-    ),
     (("observed", "landmarks", 2, "centre"), [0, 0], "scene.landmark_centres"),
     (("observed", "entities", 0), 3, "observed.entities[0]: Expected 'object', got 'int'"),
-    (("observed",), None, "observed: Expected 'object', got 'null'"),
 ]
 
 
@@ -158,25 +145,6 @@ def test_all_published_videos_are_read_originals_turning_left_and_reflected_copi
         assert event.truth.strength_red == 150.0 * (level + 1)
         found[record["mirror_of_original"] == "none", event.scene.turning] += 1
     assert found == {(True, "ccw"): 10, (True, "both"): 1, (False, "cw"): 37, (False, "both"): 2}
-
-
-@needs_dev
-def test_what_generated_a_video_does_not_change_its_scene_and_observation(tmp_path: Path) -> None:
-    document = json.loads(DEV.read_text())
-    document["videos"] = document["videos"][:8]
-    scrambled = deepcopy(document)
-    for record in scrambled["videos"]:
-        record["mirror_of_original"] = "left-right"
-        record.pop("truth")
-        record.pop("human")
-        record.pop("models")
-    for name, content in (("a.json", document), ("b.json", scrambled)):
-        (tmp_path / name).write_text(json.dumps(content))
-    pairs = zip(load_events(tmp_path / "a.json"), load_events(tmp_path / "b.json"), strict=True)
-    for first, second in pairs:
-        assert np.array_equal(first.observation.trajectory, second.observation.trajectory)
-        assert first.scene.turning == second.scene.turning
-        assert np.array_equal(first.scene.walls, second.scene.walls)
 
 
 # --- which way agents turn ------------------------------------------------------------------------

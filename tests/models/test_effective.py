@@ -127,17 +127,3 @@ def test_the_mass_of_levels_is_right_where_alpha_depends_on_strengths() -> None:
     found = masses_of_levels(prior)
     np.testing.assert_allclose(found.sum(axis=0), of_cells(law), atol=1e-4)
     np.testing.assert_allclose(found.sum(axis=1), [0.2] * 5, atol=1e-4)
-
-
-def test_a_strength_below_the_other_one_has_its_mass_at_all_levels() -> None:
-    def prior() -> None:
-        sites.goals()
-        sites.alpha()
-        red = numpyro.sample("strength_red", dist.Uniform(200.0, 600.0))
-        numpyro.sample("strength_green", dist.Uniform(150.0, red))
-
-    found = np.exp(prior_table(prior, LEVELS)).sum(axis=(0, 1, 2, 3))
-    # green < x with probability 1/400 times the integral of min(1, (x - 150) / (red - 150))
-    ends = np.array([225.0, 375.0, 525.0])
-    below = ends - 200 + (ends - 150) * np.log(450 / (ends - 150))
-    np.testing.assert_allclose(found, np.diff([0, *below / 400, 1]), atol=0.005)

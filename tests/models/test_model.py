@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any
 
@@ -15,9 +14,8 @@ from numpyro.infer.util import log_density as numpyro_log_density
 from phase_ppl.models import sites
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
+from phase_ppl.models.program import MAX_SEED, EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import ALPHAS
 from tests.inference.toy import (
     N_FRAMES,
@@ -25,7 +23,6 @@ from tests.inference.toy import (
     never_called,
     table_errors,
     table_program,
-    walking_event,
 )
 
 
@@ -128,13 +125,3 @@ def test_seeds_are_new_each_time_or_follow_what_the_simulator_is_told() -> None:
     helping = ALPHAS.index((1, 0))
     ways = [seed_of(program, alpha=helping, goal_red=goal) for goal in (0, 7)]
     assert ways == [seed_of(program, goal_red=3)] * 2
-
-
-def test_salt_stands_for_scene_and_observation_only() -> None:
-    event, again = walking_event(), walking_event()
-    salt = event_salt(event.scene, event.observation)
-    assert salt == event_salt(again.scene, again.observation)
-    moved = np.array(event.observation.trajectory)
-    moved[3, 2, 0] += 1e-9
-    assert salt != event_salt(event.scene, Observation(moved))
-    assert salt != event_salt(dataclasses.replace(event.scene, turning="cw"), event.observation)

@@ -29,13 +29,11 @@ from phase_ppl.models.predicate import (
     symbolic_trajectory,
 )
 from phase_ppl.physics import compiled
-from phase_ppl.world.errors import UnknownNameError
 from phase_ppl.world.event import Observation, State
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.goals import effective_goal, goal_index, goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis, all_ways
 from phase_ppl.world.names import NOTHING, STOP, Literal, PredicateKind
-from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
 BLUE, GREEN, RED, YELLOW = range(4)
@@ -256,14 +254,6 @@ def test_what_is_left_to_do_is_the_cheapest_way_to_do_it(name: str) -> None:
 # --- priors ------------------------------------------------------------------------------------
 
 
-def test_all_pairs_are_alike_under_the_independent_prior() -> None:
-    prior = np.exp(log_prior_of_pairs(INDEPENDENT))
-    assert prior[prior > 0] == pytest.approx(1 / 34**2)
-    assert (prior > 0).sum() == 34**2
-    with pytest.raises(UnknownNameError, match="'independent'"):
-        log_prior_of_pairs("independnt")
-
-
 # --- from tracks to predicates --------------------------------------------------------------------
 
 
@@ -277,14 +267,6 @@ def still(n: int = 8) -> np.ndarray:
     return np.repeat(scene().start[None], n, axis=0)
 
 
-def test_an_entity_is_in_a_landmarks_room_and_on_it_within_the_threshold() -> None:
-    poses = still()
-    assert states(poses)[0].rooms == (0, 1, 2, 3), "also without walls"
-    poses[:, 0, :2] = LANDMARK_CENTRES[0] + [1.0, 0.0]
-    assert states(poses, on_agent=1.1)[0].on[0] == 0
-    assert states(poses, on_agent=0.9)[0].on[0] == NOTHING
-
-
 def test_an_item_that_stays_in_front_of_its_holder_is_attached() -> None:
     poses = still(10)
     poses[:, 0, 0] += 0.4 * np.arange(10)
@@ -293,13 +275,6 @@ def test_an_item_that_stays_in_front_of_its_holder_is_attached() -> None:
     assert {state.held for state in states(poses)} == {(2, NOTHING)}
     poses[:, 2, 0] += 0.3
     assert {state.held for state in states(poses)} == {(NOTHING, NOTHING)}
-
-
-def test_what_does_not_last_does_not_count() -> None:
-    poses = still(9)
-    poses[4:6, 0, :2] = LANDMARK_CENTRES[0]
-    assert sum(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=2)) == 2
-    assert not any(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=3))
 
 
 def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:

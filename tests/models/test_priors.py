@@ -18,7 +18,7 @@ from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import OneOf
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
+from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import (
     ALPHAS,
     RELATION_TABLE,
@@ -120,14 +120,6 @@ def test_prior_of_effective_goals_is_the_sum_over_what_leads_to_them(name: str) 
     np.testing.assert_allclose(found, expected.ravel(), rtol=1e-3, atol=1e-12)
 
 
-def test_density_is_zero_outside_the_support() -> None:
-    own = GOALS.index("get to red agent"), GOALS.index("get away from green agent")
-    codes = [(own[0], 0, 0), (0, own[1], 0), (36, 0, 0), (0, -1, 0), (0, 0, len(ALPHAS))]
-    strengths = [(149.0, 300.0), (300.0, 601.0), (np.nan, 300.0)]
-    assert (density("uniform", codes, STRENGTHS) == 0).all()
-    assert (density("uniform", REFERENCE, strengths) == 0).all()
-
-
 def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() -> None:
     both = [density(name, CODES, STRENGTHS) for name in ("relation_first", "uniform")]
     total = np.bincount(RELATION, both[0], len(RELATIONS)) / both[0].sum()
@@ -135,13 +127,6 @@ def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() ->
     for relation in range(len(RELATIONS)):
         one, other = (mass[relation == RELATION] for mass in both)
         np.testing.assert_allclose(one / one.sum(), other / other.sum(), rtol=1e-3, atol=1e-12)
-
-
-def test_social_goals_are_rare_under_sparse_social_and_else_absent() -> None:
-    social = (draws("sparse_social")["alpha"] != 0).mean()
-    assert social == pytest.approx(priors.SPARSE_SOCIAL, abs=0.01)
-    mass = density("no_social_goals", CODES, STRENGTHS)
-    assert mass[CODES[:, 2] != ALPHAS.index((0, 0))].sum() == 0
 
 
 def test_correlated_strengths_are_correlated_and_each_uniform() -> None:

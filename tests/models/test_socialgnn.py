@@ -27,8 +27,6 @@ from phase_ppl.models.socialgnn.graphs import (
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import Scene
 from tests.models.walks import eight, needs_torch, walk
 from tests.world.examples import walls
@@ -93,26 +91,6 @@ def test_contact_is_being_near_with_no_wall_between() -> None:
     start[1, 0] = 15 + 2.41
     moved = Observation(np.stack([start, start]))
     assert not touching(open_scene, moved)[0, 0, 1]
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items(variant: Variant) -> None:
-    event = walk(0, 1)
-    turned = event.observation.trajectory + np.array([0.0, 0.0, 2 * np.pi])
-    turned[:, 2:, 2] = 1.0
-    again = frame_graphs(event.scene, Observation(turned), variant)
-    for one, other in zip(again, graphs(variant, event), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-5)
-
-
-def test_an_example_is_the_event_with_its_answers() -> None:
-    for event in eight():
-        made, truth = example(event, "extended"), event.truth
-        assert truth is not None
-        assert [GOALS[goal] for goal in made.goals] == [truth.goal_red, truth.goal_green]
-        assert RELATIONS[made.relation] == truth.relation
-        for one, other in zip(made.graphs, graphs("extended", event), strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 # --- learning ----------------------------------------------------------------------------------
@@ -266,12 +244,3 @@ def test_files_that_unpack_to_much_and_numbers_too_large_are_refused(tmp_path: P
         store.load(tmp_path / "bomb.npz")
     with pytest.raises(InvalidSettingError, match="edge holds something else than finite"):
         store.halved({"edge": np.array([1e6])})
-
-
-def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSettingError, match=r"holds none of extended\.npz, original\.npz"):
-        store.load(tmp_path)
-    for variant in VARIANTS:
-        store.save([random_member(variant)], tmp_path / f"{variant}.npz")
-    with pytest.raises(InvalidSettingError, match=r"several, extended\.npz, original\.npz: name"):
-        store.load(tmp_path)

@@ -21,7 +21,6 @@ from phase_ppl.render.frames import (
     THUMBNAIL,
     UNKNOWN_COLOUR,
     Painter,
-    between_frames,
     thumbnail,
 )
 from phase_ppl.world.errors import (
@@ -82,20 +81,6 @@ def test_observed_and_predicted_stand_beside_each_other_each_in_its_scene(tmp_pa
         assert half.min() < 150  # the captions
     assert close(frames[0], 100, 240, (0, 0, 0))  # the wall up, on the left only
     assert close(frames[0], 100, 720, WHITE)
-
-
-def test_bodies_move_on_straight_lines_between_frames() -> None:
-    trajectory = np.zeros((3, 4, 3))
-    trajectory[:, 0] = [(6.0, 2.0, 0.0), (7.0, 4.0, 1.0), (7.0, 4.0, 1.0)]
-    poses = between_frames(trajectory, 4)
-    assert poses.shape == (9, 4, 3)
-    assert poses[1, 0].tolist() == [6.25, 2.5, 0.25]
-    assert poses[4, 0].tolist() == [7.0, 4.0, 1.0]
-    assert poses[8, 0].tolist() == [7.0, 4.0, 1.0]
-    assert between_frames(trajectory[:1], 4).shape == (1, 4, 3)
-    # angles turn the shorter way round
-    trajectory[:2, 0, 2] = (3.1, -3.1)
-    assert np.cos(between_frames(trajectory[:2], 2)[1, 0, 2]) == pytest.approx(-1.0)
 
 
 Write = Callable[..., object]

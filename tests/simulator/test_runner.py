@@ -189,12 +189,6 @@ def test_what_cannot_be_simulated_is_refused_before_the_run() -> None:
         runner(toys.drift, workers=1).run([GO], [1], [float("nan")])
 
 
-def test_a_simulator_that_workers_cannot_load_is_an_error_of_the_run(tmp_path: Path) -> None:
-    slips = runner(toys.Slips(tmp_path, loads=False), workers=2)
-    with slips, pytest.raises(SimulationError, match="ImportError: no such engine here"):
-        slips.run([GO, WEAK], [1, 2])
-
-
 # --- stopping --------------------------------------------------------------------------------
 
 
@@ -313,16 +307,6 @@ def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.M
     assert [r.completed for r in results] == [True, False, True]
     assert f"took longer than the {seconds:g} s" in str(results[1].failure)
     assert limited.statistics.retries == 0
-
-
-def test_a_batch_that_hangs_is_failures() -> None:
-    class Hangs(toys.Batched):
-        def simulate_batch(self, *given: Any) -> Any:
-            time.sleep(1000)
-
-    with runner(Hangs(), simulation_seconds=0.1) as limited:
-        results = limited.run([GO, WEAK], [1, 2])
-    assert ["took longer than the 0.1 s" in str(r.failure) for r in results] == [True, True]
 
 
 # --- what fails ------------------------------------------------------------------------------

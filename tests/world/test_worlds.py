@@ -29,7 +29,7 @@ from phase_ppl.world.goals import (
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.worlds import SOLO, TRIO
 from tests.world.examples import check_refused
 
@@ -231,19 +231,15 @@ PLACES = {"red agent": (3, 3), "green agent": (20, 3), "ball": (20, 20)}
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"agents": []}, "0 agents, expected 1 to 4"),
     ({"items": list("abcdefg")}, "7 items, expected 0 to 6"),
-    ({"agents": "red agent"}, "expected a list of names"),
     ({"items": ["Red agent"]}, "are called 'red agent'"),
-    ({"items": ["way to go"]}, "without 'to' and 'away from'"),
     ({"landmarks": {"home": (4, math.nan)}}, "landmark 'home'[1] is nan"),
     ({"landmarks": {"home": (4, 4, 2, 2)}},
      "landmark 'home' is (4, 4, 2, 2), expected (x, y) or (x, y, half the side)"),
-    ({"half_width": "wide"}, "has the half-width 'wide'"),
     ({"touchable": ["ball", "ball"]}, "touchable has 'ball' twice"),
     ({"arena": (0, 100, 0, 24)}, "with sides of 4 to 60 units"),
     ({"walls": [((12, 0), (12, 30))]},
      "wall [[12.0, 0.0], [12.0, 30.0]] leaves the arena x 0..36, y 0..24"),
     ({"walls": [((12, 3), (12, 3))]}, "has no length"),
-    ({"colours": {"bal": (0, 0, 0)}}, "unknown name with a colour 'bal'; did you mean 'ball'?"),
     ({"colours": {"ball": (0, 300, 0)}}, "expected at most 255"),
 ]  # fmt: skip
 WRONG_USE: list[tuple[Callable[[], object], str]] = [
@@ -251,32 +247,20 @@ WRONG_USE: list[tuple[Callable[[], object], str]] = [
      "relation='help', expected {('red agent', 'green agent'): 'help'} or 'hinder'"),
     (lambda: house().goal_index("bell to home"),
      "unknown goal 'bell to home'; did you mean 'Get ball to home'"),
-    (lambda: SOLO.goal_index("get to red agent"), "unknown goal"),
     (lambda: house().scene(start={**PLACES, "box": (1, 1)}), "unknown agent or item 'box'"),
-    (lambda: house().scene(start={"red agent": (3, 3), "ball": (5, 5)}),
-     "start has no place for the green agent"),
     (lambda: house().scene(start={**PLACES, "ball": (37, 3)}),
      "the ball is at (37, 3) in frame 0, outside the arena"),
-    (lambda: house().scene(start={**PLACES, "ball": (3,)}),
-     "start of the ball has shape (1,), expected (2,)"),
     (lambda: house().scene(start=PLACES, size={"ball": 9}), "sizes must lie in [0.01, 6]"),
     (lambda: house(walls=[((12, 0), (12, 24))]).scene(start={**PLACES, "green agent": (4, 20)}),
      "the ball is in a room that walls close to every agent"),
-    (lambda: Scene(np.zeros((4, 3)), np.ones(4), world="solo"),  # type: ignore[arg-type]
-     "world='solo', expected a phase_ppl.World"),
     (lambda: worlds.named("duo"), "unknown world 'duo'"),
-    (lambda: dataclasses.replace(SOLO, colours=5), "colours=5, expected a mapping of names"),
     (lambda: World(list("abcd"), list("efghij"), {"home": (2, 2, 1)}, (0, 4, 0, 4)).random_scene(0),
      "no place was found for everybody"),
 ]  # fmt: skip
 RANDOM: list[tuple[dict[str, Any], str]] = [
-    ({"rooms": {"red": "home"}}, "unknown agent or item 'red'"),
     ({"rooms": {"red agent": "hme"}}, "unknown landmark 'hme'; did you mean 'home'"),
     ({"rooms": {"red agent": 6}}, "room=6, expected at most 5"),
-    ({"rooms": {"red agent": (40, 0)}}, "room of (40, 0), which lies outside the arena"),
-    ({"near": {"red agent": "hme"}}, "unknown agent, item or landmark 'hme'"),
     ({"near": {"red agent": "pink ball", "pink ball": "red agent"}}, "are near themselves"),
-    ({"size": {"red": 1.0}}, "unknown agent or item 'red'"),
     ({"size": 40.0}, "size of the red agent is 40.0, expected one in [0.01, 6]"),
 ]
 

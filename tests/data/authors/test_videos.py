@@ -100,17 +100,6 @@ def test_ids_are_stamp_and_place_or_what_the_name_says(tmp_path: Path) -> None:
     assert ids == [first["name"], second["name"], f"{STAMP}_E8.1"]
 
 
-def test_the_way_agents_turn_is_read_off_their_angles(tmp_path: Path) -> None:
-    video = processed(None)
-    turns = np.zeros(1 + 5 * (FRAMES - 1))
-    steps = np.cumsum(np.tile(np.arange(1, 6) / 15, 10)) * 1.0617  # full turns of size 0.8
-    turns[1:51], turns[51:] = steps, steps[-1]
-    video["trajectories"][1][:, 4] = averaged(turns[:, None], 1)[:, 0]
-    video["trajectories"][0][:, 4] = 0.0
-    (event,) = load_events(write(tmp_path, [video]))
-    assert event.scene.turning == "ccw"
-
-
 @pytest.mark.parametrize("protocol", [0, pickle.HIGHEST_PROTOCOL])
 def test_a_pickle_is_known_by_its_content_whatever_its_name(tmp_path: Path, protocol: int) -> None:
     for name in ("Videos", "videos.json", "videos.pkl"):

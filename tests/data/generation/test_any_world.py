@@ -38,11 +38,6 @@ SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
 ONE_THREAD: dict[str, Any] = {"workers": 1, "progress": False}
 
 
-def homewards(world: ppl.World, seed: int) -> Hypothesis | None:
-    """Whoever it is, it wants to be home; every third draw is refused."""
-    return None if seed % 3 == 1 else Hypothesis.of(world, {"red agent": "red agent to home"})
-
-
 OURS = ("chasing", "collab", "compete", "help", "hinder", "independent")
 QUICK = PlannerConfig(particles=4, simulations=2, rollout_length=1)
 SMALL: dict[str, Any] = {"workers": 1, "progress": False, "frames": 3, "planner": QUICK}
@@ -82,15 +77,6 @@ def test_events_follow_from_the_numbers_of_their_entries_and_show_a_goal_that_is
     assert len({entry["seed"] for entry in made.entries}) == 3
     assert made.manifest["kept"] == {"solo": 3}
     assert set(made.manifest["rejected"]["solo"]) == {"no goal is reached"}, "there are some"
-
-
-def test_roles_of_ones_own_are_drawn_and_part_of_the_plan(tmp_path: Path) -> None:
-    given = {"world": "solo", "roles": homewards, "frames": 40, **ONE_THREAD}
-    found = generate(tmp_path / "set", 3, **given)
-    assert {event.truth.goals["red agent"] for event in found} == {"Get red agent to home"}
-    assert found.manifest["rejected"]["solo"]["roles that are not wanted"] >= 1
-    with pytest.raises(PhasePPLError, match="another plan: roles"):
-        generate(tmp_path / "set", 3, **{**given, "roles": ppl.roles.draw}, resume=True)
 
 
 @pytest.mark.usefixtures("_forgetful", "_all_are_kept")

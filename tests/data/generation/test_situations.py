@@ -179,24 +179,6 @@ def test_a_family_of_ones_own_goes_to_workers_with_its_plan(own: Callable[..., F
     assert hypothesis(drawn).scenario == "collaborative"
 
 
-def test_what_is_said_of_a_situation_is_by_name_or_of_all() -> None:
-    draw = Draw(PHASE, np.random.default_rng(0))
-    goal, names = "blue item to red lm", PHASE.entities
-    scene, roles = draw.situation(goal, strength=300, rooms=("blue lm", 1, (18, 4), None), size=0.8)
-    assert set(roles.goals.values()) == {"Get blue item to red lm"}
-    assert scene.radius.tolist() == [0.8] * 4
-    assert scene.rooms.room_of(scene.start[:2, :2]).tolist() == [0, 1]
-    assert scene.start[2].tolist() == [18, 4, 0]
-    wrong: list[tuple[dict[str, Any], str]] = [
-        ({"rooms": (1, 2)}, f"expected one for each of {', '.join(names)}"),
-        ({"size": {"ball": 1}}, "unknown agent or item 'ball'"),
-        ({"rooms": {"red agent": "mars"}}, "unknown landmark 'mars'"),
-    ]
-    for given, message in wrong:
-        with pytest.raises(PhasePPLError, match=message):
-            draw.situation(goal, **given)
-
-
 def test_what_is_no_family_is_refused(own: Callable[..., Family]) -> None:
     for name, green, said in (
         ("wrong", "Get green agent to red lm", "not opposing"),

@@ -163,19 +163,6 @@ def test_a_redirection_is_not_followed_and_where_nobody_listens_may_somebody_lat
     assert asked.failure(base_url="http://127.0.0.1:9").again
 
 
-def test_a_key_that_is_lacking_or_cannot_be_is_said_before_anything_is_sent(
-    asked: Asked, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("GEMINI_API_KEY", "two\nlines-of-secret")
-    with pytest.raises(InvalidSettingError, match="GEMINI_API_KEY has characters") as caught:
-        asked.service()(request())
-    assert "secret" not in str(caught.value)
-    monkeypatch.delenv("GEMINI_API_KEY")
-    with pytest.raises(InvalidSettingError, match=r"needs its key in the environment variable"):
-        asked.service()(request())
-    assert not asked.server.seen
-
-
 def test_the_key_is_in_nothing_that_comes_back(
     asked: Asked, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import io
 import json
 import os
-import socket
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +22,7 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.models.vlm import Google, NoReply, Reply, Request
 from phase_ppl.world.errors import (
     AnswerError,
-    InvalidEventError,
     InvalidSettingError,
-    OutputError,
     UnknownNameError,
 )
 from tests.evaluation.toys import still
@@ -143,21 +138,6 @@ def test_failures_that_may_pass_are_waited_for_ever_longer(waits: list[float]) -
     assert (cost["requests"], cost["failures"], cost["refused"]) == (6, 5, 0)
 
 
-LIMITS: list[tuple[Any, int, int, str]] = [
-    (NoReply("HTTP 503", again=True), 2, 3, "in 3 requests; the last: HTTP 503"),
-    (Reply("", finish="SAFETY"), 1, 2, r"the answer is empty \(ended by: SAFETY\)"),
-    (b"bytes", 4, 1, "the client returned b'bytes', expected text"),
-]
-
-
-def test_there_is_a_limit(waits: list[float]) -> None:
-    for says, retries, asked, reason in LIMITS:
-        client = Says(says)
-        with pytest.raises(AnswerError, match=reason):
-            predict(client, retries=retries)
-        assert len(client.asked) == asked
-
-
 # --- kept and replayed -----------------------------------------------------------------------
 
 
@@ -177,21 +157,6 @@ def test_a_stored_answer_is_not_asked_for_again(tmp_path: Path, waits: list[floa
     ]  # fmt: skip
 
 
-def test_another_question_seed_or_model_is_asked_anew(tmp_path: Path) -> None:
-    client = Says(text())
-    ask = functools.partial(predict, client, store=tmp_path)
-    changes: Sequence[dict[str, Any]] = (
-        {}, {"seed": 1}, {"event": still(shift=0.1)}, {"show": "pictures"}, {"frames": 2},
-    )  # fmt: skip
-    for change in changes:
-        ask(**change)
-    vlm(client=client, name="other", store=tmp_path)(EVENT.scene, EVENT.observation, 0)
-    assert len(client.asked) == len(files(tmp_path)) == len(changes) + 1
-    for change in changes:
-        ask(**change)
-    assert len(client.asked) == len(changes) + 1
-
-
 def test_a_replay_asks_nobody_and_draws_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,30 +168,6 @@ def test_a_replay_asks_nobody_and_draws_nothing(
         predict(silent, store=tmp_path, replay=True, seed=3)
     with pytest.raises(AnswerError, match=r"no answer to this request: \w+-0\.json is missing$"):
         predict(silent, store=tmp_path, replay=True, event=still(shift=0.1))
-
-
-def test_a_damaged_store_names_the_file(tmp_path: Path) -> None:
-    predict(Says(text()), store=tmp_path)
-    (file,) = files(tmp_path)
-    record = json.loads(file.read_text())
-    for damaged, reason in (
-        ({**record, "request": {"model": "another"}}, "another request: .*model is 'toy', was 'a"),
-        (
-            {**record, "attempts": [{"time": "now"}]},
-            r"missing required field `seconds`.*attempts\[0\]",
-        ),
-        ({**record, "attempts": [{"time": "", "seconds": 1, "text": 3}]}, r"attempts\[0\]\.text"),
-        ({**record, "attempts": None}, r"got `null` - at `\$\.attempts`"),
-        ({**record, "schema": "x"}, "schema is 'phase-ppl-answer-1', was 'x'"),
-    ):
-        file.write_text(json.dumps(damaged))
-        with pytest.raises(InvalidEventError, match=rf"{file.name}: .*{reason}"):
-            predict(Says(text()), store=tmp_path)
-    file.write_text("{")
-    with pytest.raises(InvalidEventError, match=rf"{file.name}: is not JSON"):
-        predict(Says(text()), store=tmp_path)
-    with pytest.raises(OutputError, match="is a file, expected a folder"):
-        predict(Says(), store=file)
 
 
 # --- settings --------------------------------------------------------------------------------
@@ -265,23 +206,7 @@ def test_without_the_extra_only_functions_and_replays_work(
 # --- in an evaluation ------------------------------------------------------------------------
 
 
-def same_for_all(request: Request) -> str:
-    """Answer the same whatever is shown."""
-    return text()
-
-
 TWO = [still("a", 4), still("b", 3)]
-
-
-def test_an_evaluation_repeats_without_network(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options: dict[str, Any] = {"client": same_for_all, "store": tmp_path, "progress": False}
-    before = ppl.evaluate(TWO, "vlm", **options)
-    monkeypatch.setattr(socket, "socket", None)
-    after = ppl.evaluate(TWO, "vlm", replay=True, **options)
-    assert before.metrics["goal_accuracy"] == after.metrics["goal_accuracy"]
-    assert len(files(tmp_path)) == 2
 
 
 def test_the_command_asks_a_service_and_writes_its_key_nowhere(
@@ -318,3 +243,18 @@ def test_the_command_asks_a_service_and_writes_its_key_nowhere(
     assert predictions[0]["cost"]["repairs"] == 2
     assert [each["cost"]["from_store"] for each in predictions] == [False, True]
     assert key == os.environ["GOOGLE_API_KEY"]
+
+
+LIMITS: list[tuple[Any, int, int, str]] = [
+    (NoReply("HTTP 503", again=True), 2, 3, "in 3 requests; the last: HTTP 503"),
+    (Reply("", finish="SAFETY"), 1, 2, r"the answer is empty \(ended by: SAFETY\)"),
+    (b"bytes", 4, 1, "the client returned b'bytes', expected text"),
+]
+
+
+def test_there_is_a_limit(waits: list[float]) -> None:
+    for says, retries, asked, reason in LIMITS:
+        client = Says(says)
+        with pytest.raises(AnswerError, match=reason):
+            predict(client, retries=retries)
+        assert len(client.asked) == asked
