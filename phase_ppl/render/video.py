@@ -113,7 +113,6 @@ FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
 """At 20 frames per second a planner step lasts 0.25 s, three times its simulated time."""
 
-CAPTIONS: Final = ("observed", "predicted")
 _CAPTION_SIZE: Final = 20
 _CAPTION_Y: Final = 19
 
@@ -128,6 +127,7 @@ def video(
     fields_of_view: bool = False,
     compare: Drawable | None = None,
     compare_scene: Scene | None = None,
+    captions: tuple[str, str] = ("observed", "predicted"),
     progress: bool = False,
 ) -> Film:
     """Write an animation in the look of the PHASE videos as MP4 (H.264).
@@ -145,6 +145,7 @@ def video(
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in its
             own scene. The shorter one stands still at its end.
         compare_scene: scene of the second trajectory, if it is another.
+        captions: names of the two, above them.
         progress: whether to show a progress bar.
 
     Returns:
@@ -170,7 +171,7 @@ def video(
 
     def draw(index: int) -> Image.Image:
         drawn = [painter.draw(track[index]) for painter, track in zip(painters, poses, strict=True)]
-        return drawn[0] if compare is None else _beside(drawn)
+        return drawn[0] if compare is None else _beside(drawn, captions)
 
     moments = counted(range(n_frames), progress, "frame", "drawing")
     return _written(map(draw, moments), path, fps)
@@ -187,10 +188,10 @@ def _written(frames: Iterable[Image.Image], path: str | os.PathLike[str], fps: f
     return Film(path)
 
 
-def _beside(drawn: list[Image.Image]) -> Image.Image:
+def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:
     picture = side_by_side([panel(frame) for frame in drawn])
-    for index, text in enumerate(CAPTIONS):
-        x = (index + 0.5) * picture.width / len(CAPTIONS)
+    for index, text in enumerate(captions):
+        x = (index + 0.5) * picture.width / len(captions)
         write_centred(picture, text, x, _CAPTION_Y, _CAPTION_SIZE)
     return picture
 
