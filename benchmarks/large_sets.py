@@ -46,7 +46,8 @@ def main() -> None:
         return
     differs = killed(options.events, options.frames)
     common.write({"events": options.events, "differs": differs}, options.json)
-    sys.exit(differs)
+    if differs:
+        sys.exit(1)
 
 
 def work(what: str, folder: Path, n: int, frames: int) -> None:
