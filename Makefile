@@ -98,7 +98,7 @@ $(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
 	@touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(INSTALL) -e '.[docs,env]'
+	$(INSTALL) -e '.[docs]'
 	@touch $@
 
 $(BIN)/python:

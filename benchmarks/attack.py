@@ -43,7 +43,7 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main as terminal
-from phase_ppl.data.events_netcdf import checksum
+from phase_ppl.data.events_json import checksum
 from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.picture import plain
@@ -70,10 +70,9 @@ def prepare(folder: Path) -> None:
     with ppl.watch(EVENT.scene, event_id="walk") as watch:
         watch.take(EVENT.observation.trajectory[0])
         watch.posterior().save(folder / "reading.nc")
-    for name in ("event.json", "event.nc"):
-        ppl.save_event(EVENT, folder / name)
+    ppl.save_event(EVENT, folder / "event.json")
     other = dataclasses.replace(walking_event(13), id="other")
-    ppl.save_events([EVENT, other], folder / "events.nc")
+    ppl.save_events([EVENT, other], folder / "events.json")
 
 
 def content_of(path: Path) -> Any:
@@ -89,7 +88,7 @@ def content_of(path: Path) -> Any:
 
 
 def flip(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
-    names = ("run.ckpt", "posterior.nc", "reading.nc", "event.json", "event.nc", "events.nc")
+    names = ("run.ckpt", "posterior.nc", "reading.nc", "event.json", "events.json")
     source = folder / rng.choice(names)
     content = bytearray(source.read_bytes())
     if rng.random() < 0.2:
@@ -110,7 +109,7 @@ def hostile(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
     files = {f"{n} {message}": content for n, (content, message) in enumerate(FILES)}
     trick = rng.choice(list(rng.choice([TRICKS, HOSTILE, files])))
     if trick in TRICKS:
-        source = folder / rng.choice(("posterior.nc", "reading.nc", "event.nc", "events.nc"))
+        source = folder / rng.choice(("posterior.nc", "reading.nc"))
         path = folder / f"hostile-{source.name}"
         path.write_bytes(source.read_bytes())
         with h5py.File(path, "r+") as file:
@@ -158,17 +157,17 @@ def call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         (ppl.evaluate, {"events": EVENT, "model": "majority", "out": out, "seed": 0, "limit": 1}),
         (ppl.generate, {"out": out, "n": 10**8, "cells": {"chasing": 1}, "copies": 0, "seed": 0}),
         (ppl.simulate, {"scene": EVENT.scene, "hypothesis": GO, "frames": 3, "seed": 0}),
-        (ppl.load_event, {"path": folder / "event.nc", "video": None, "turning": None}),
-        (ppl.load_events, {"path": folder / "events.nc", "turning": None}),
+        (ppl.load_event, {"path": folder / "event.json", "video": None, "turning": None}),
+        (ppl.load_events, {"path": folder / "events.json", "turning": None}),
         (ppl.load_posterior, {"path": folder / "posterior.nc", "weights": None}),
-        (ppl.save_event, {"event": EVENT, "path": folder / "saved.nc"}),
+        (ppl.save_event, {"event": EVENT, "path": folder / "saved.json"}),
         (ppl.save_events, {"events": [EVENT], "path": folder / "saved.json"}),
         (ppl.Hypothesis, {"goal_red": 12, "goal_green": 13, "alpha": (0, 0), "strength_red": 3.0}),
         (ppl.Scene, {"start": EVENT.scene.start, "radius": EVENT.scene.radius, "walls": []}),
         (ppl.Event, {"scene": EVENT.scene, "observation": EVENT.observation}),
         (ppl.watch, {"scene": EVENT.scene, "model": None, "seed": 0, "threads": 1}),
         (ppl.report, {"folder": folder, "path": folder / "report.html"}),
-        (ppl.render.video, {"what": EVENT, "path": folder / "film.gif", "fps": 5}),
+        (ppl.render.video, {"what": EVENT, "path": folder / "film.mp4", "fps": 5}),
         (ppl.seconds, {"n": 3}),
         (ppl.Model, {"prior": "uniform", "simulator": walkers, "planner": None, "noise": "fresh"}),
     ]
@@ -180,7 +179,7 @@ def call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
 
 def command(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
     event, post = str(folder / "event.json"), str(folder / "posterior.nc")
-    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
+    goals = ["--goal", "red agent=red agent to red lm", "--goal", "green agent=get to red agent"]
     tiny = ["--workers", "1", "--quiet", "--chains", "2"]
     lines = [
         ["infer", event, "--kernel", "prior_mh", "--iterations", "1", "--prior", "uniform", *tiny],
@@ -192,8 +191,7 @@ def command(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         ["query", post, "E[strength_red | strength_red > 200]", "top 3 goal_red", "--json"],
         ["evaluate", event, "--model", "majority", "--limit", "1", "--seed", "0", "--no-figures"],
         ["generate", "--n", "1000000000", "--seed", "0", "--out", str(folder / "set")],
-        ["verify", str(folder / "set")],
-        ["export", event, "--to", "phase-test", "--out", str(folder / "exported.json")],
+        ["export", event, "--out", str(folder / "exported.json")],
         ["render", event, "--out", str(folder / "picture.png")],
         ["report", str(folder)],
         ["describe", event],

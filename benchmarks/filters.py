@@ -1,10 +1,10 @@
 """Would the filters of generation keep the real videos?
 
-    python benchmarks/filters.py [--generated DIR] [--json FILE]
+    python benchmarks/filters.py [--json FILE]
 
 The authors sorted by hand, and kept all of these videos. What share would each filter keep, and
 how far are the videos from its threshold? Pushing without effect is looked for in steps with known
-actions. ``--generated`` puts a set made with --keep-rejected through the same thresholds.
+actions.
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ from typing import Any, Final, NamedTuple
 import common
 import numpy as np
 
-import phase_ppl as ppl
-from phase_ppl.data.documents import read_json
-from phase_ppl.data.generated import REJECTED
 from phase_ppl.data.generation.making import (
     MAX_STUCK,
     NEAR,
@@ -69,7 +66,7 @@ RULES: Final = (
          lambda case, most: max(case.found["stuck"]) <= most,
          (3, 6, 12, 24, 36, 60, 100), MAX_STUCK),
     Rule("nearest approach, sum of sizes", ("opposing",),
-         lambda case, below: case.found["closest"] < below,
+         lambda case, below: min(case.found["closest"].values()) < below,
          (0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 4.0), NEAR),
     Rule("agents that touch the item of their goal", ("competing",),
          lambda case, least: taking_part(case) >= least, (2, 1, 0), 2),
@@ -81,37 +78,13 @@ RULES: Final = (
 def real_case(event: Event, actions: Sequence[Sequence[str]]) -> Case:
     """Return what our filters see in a real video."""
     truth, n = event.truth, event.observation.n_frames
-    nothing = np.zeros((n, len(AGENTS)), bool)  # what is held is of no use to the filters
-    pushes = nothing.copy()
+    pushes = np.zeros((n, len(AGENTS)), bool)
     pushes[1 : 1 + len(actions)] = np.isin(actions[: n - 1], PUSHING)
     hypothesis = common.true_hypothesis(event)
     track = event.observation.trajectory
-    found = measures(Recording(event.scene, hypothesis, 0, track, pushes, nothing))
+    found = measures(Recording(event.scene, hypothesis, 0, track, pushes))
     reason = reason_against(truth.scenario, hypothesis, found)
     return Case(truth.scenario, hypothesis.effective_goals, found, reason)
-
-
-def generated_cases(folder: str) -> list[Case]:
-    """Return what was kept and what was refused of a generated set, by its own filters."""
-    made = ppl.load_events(folder)
-    if not isinstance(made, ppl.GeneratedEvents) or not made.rejected():
-        raise SystemExit(f"{folder} holds no generated set with rejected draws (--keep-rejected)")
-    told = read_json(made.path / f"{REJECTED}.json")["rejected"]
-    if not all(draw.get("measures") for draw in told):
-        raise SystemExit(
-            f"{folder} was made by an earlier version: its rejected draws lack measures"
-        )
-    cases = []
-    for event, entry in zip(made, made.entries, strict=True):
-        cases.append(generated_case(event, entry["measures"], None))
-    for (event, reason), draw in zip(made.rejected(), told, strict=True):
-        cases.append(generated_case(event, draw["measures"], reason))
-    return cases
-
-
-def generated_case(event: Event, found: dict[str, Any], reason: str | None) -> Case:
-    goals = common.true_hypothesis(event).effective_goals
-    return Case(event.truth.scenario, goals, found, reason)
 
 
 def share(cases: Sequence[Case], passes: Callable[[Case], bool]) -> dict[str, float | int | None]:
@@ -125,17 +98,14 @@ def shown(found: dict[str, float | int | None]) -> str:
 
 def main() -> None:
     parser = common.parser(__doc__, "json")
-    parser.add_argument("--generated", metavar="DIR", help="a set made with --keep-rejected")
     options = parser.parse_args()
     actions = {video["id"]: video["actions"] for video in common.replays()}
     groups = {
         half: [real_case(event, actions[event.id]) for event in common.dev_events(half)]
         for half in ("first", "second")
     }
-    if options.generated:
-        groups["generated"] = generated_cases(options.generated)
     report: dict[str, Any] = {"filters": {}, "refused": {}, "thresholds": []}
-    heads = {"first": "real, first half", "second": "real, second half", "generated": "generated"}
+    heads = {"first": "real, first half", "second": "real, second half"}
     print(f"{'kept by the filters':52}" + "".join(f"{heads[name]:>20}" for name in groups))
     for scenario in (*common.SCENARIOS, "all"):
         row = {

@@ -27,9 +27,6 @@ from phase_ppl.analysis.with_arviz import pareto_smoothed as pareto_smoothed
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
 from phase_ppl.data import cues as cues
 from phase_ppl.data.documents import read_json as read_json
-from phase_ppl.data.environment import env as env
-from phase_ppl.data.events_netcdf import event_dataset as event_dataset
-from phase_ppl.data.events_netcdf import event_from_dataset as event_from_dataset
 from phase_ppl.data.generated import GeneratedEvents as GeneratedEvents
 from phase_ppl.data.generation.families import available_families as available_families
 from phase_ppl.data.generation.families import draw_situation as draw_situation
@@ -39,7 +36,7 @@ from phase_ppl.data.generation.generate import (
 )
 from phase_ppl.data.generation.generate import generate as generate
 from phase_ppl.data.load import bundled_events as bundled_events
-from phase_ppl.data.load import export_events as export_events
+from phase_ppl.data.load import event_dataset as event_dataset
 from phase_ppl.data.load import load_event as load_event
 from phase_ppl.data.load import load_events as load_events
 from phase_ppl.data.load import save_event as save_event

@@ -21,7 +21,6 @@ from phase_ppl.cli import main
 from phase_ppl.inference import sampler
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.hypothesis import Hypothesis
-from tests.analysis.factory import random_tree
 from tests.inference.runs import EVENT, MODEL, OPTIONS
 from tests.inference.toy import walkers
 
@@ -32,40 +31,20 @@ GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "event": (lambda: ppl.infer("a.json"), "'a.json' is no event; phase_ppl.load_event reads one"),
     "model": (lambda: ppl.infer(EVENT, model="simple"), "model='simple', expected a phase_ppl.M"),
-    "settings": (lambda: sample(EVENT, settings={}), "settings={}, expected"),
-    "executor": (lambda: sample(EVENT, MODEL, executor=object()), "no PEP 3148 executor"),
     "checkpoint": (lambda: sample(EVENT, checkpoint=3), "3 is no path"),
     "chains": (lambda: sample(EVENT, MODEL, chains=10**9, workers=1), "GB of memory"),
-    "iterations": (lambda: sample(EVENT, MODEL, iterations=10**12, workers=1), "GB of memory"),
     "workers": (lambda: sample(EVENT, MODEL, workers=10**6), "expected at most 1024"),
-    "a huge seed": (lambda: sample(EVENT, MODEL, seed=-(10**5000)), "seed=<int>, expected"),
-    "copies": (lambda: ppl.generate("no", n=2, copies=10**5000), "copies=<int>, expected at most"),
-    "weights": (lambda: ppl.Posterior(random_tree(1), 10**5000), "unknown weights <int>"),
-    "report": (lambda: ppl.report(None), "None is no path"),
     "load": (lambda: ppl.load_event(None), "None is no path"),
     "load long": (lambda: ppl.load_event(LONG), "(5000 characters) is a name that no file can"),
-    "load null": (lambda: ppl.load_events("a\0b.json"), r"a\x00b.json is a name that no file can"),
-    "save": (lambda: ppl.save_event(EVENT, None), "None is no path"),
     "save no event": (lambda: ppl.save_event(3, "a.json"), "event=3, expected a phase_ppl.Event"),
-    "event of none": (lambda: ppl.Event(EVENT.scene, 3), "observation=3, expected"),
     "watch": (lambda: ppl.watch(None), "scene=None, expected"),
-    "evaluate": (lambda: ppl.evaluate(None), "events=None, expected"),
     "cells": (lambda: ppl.generate("no", cells="chasing"), "cells='chasing', expected a mapping"),
-    "n": (lambda: ppl.generate("no", n=10**9), "a plan of 1000000000 events"),
     "frames": (lambda: ppl.simulate(EVENT.scene, GO, frames=10**12), "frames=1000000000000 would"),
-    "no frames": (lambda: ppl.simulate(EVENT.scene, GO, frames="9"), "frames='9', expected a wh"),
-    "no hypothesis": (lambda: ppl.simulate(EVENT.scene, None), "hypothesis=None, expected"),
-    "masked": (
-        lambda: ppl.Observation(np.ma.masked_greater(EVENT.observation.trajectory, 9.0)),
-        "trajectory is masked in places",
-    ),
     "wall": (
         lambda: ppl.Scene(EVENT.scene.start, EVENT.scene.radius, [[[16, 12], [16, 12]]]),
         "wall [[16.0, 12.0], [16.0, 12.0]] has no length",
     ),
     "figure": (lambda: ppl.plot.posterior(None), "posterior of None, expected a phase_ppl.Post"),
-    "figure of another": (lambda: ppl.plot.errors(EVENT), "errors of"),
-    "estimate": (lambda: ppl.Estimate("x", "y"), "Estimate('x', 'y'), expected a number"),
 }
 
 
@@ -119,12 +98,10 @@ def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda frame: frame + 1j, "frame 0 holds .*, expected numbers"),
         (lambda frame: np.ma.masked_greater(frame, 9.0), "frame 0 holds .*, expected numbers"),
-        (lambda frame: frame.astype(str), "frame 0 holds .*, expected numbers"),
         (lambda frame: frame + 1e300, "frame 0 holds a value that is not finite"),
     ],
-    ids=["complex", "masked", "text", "overflow"],
+    ids=["masked", "overflow"],
 )
 def test_frames_that_are_no_numbers_are_failures(change: Any, message: str) -> None:
     def odd(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
@@ -150,7 +127,7 @@ def test_an_output_may_be_full_closed_or_of_few_letters_and_its_reader_gone(
 ) -> None:
     def export(output: IO[str] | None) -> tuple[int, str]:
         monkeypatch.setattr(sys, "stdout", output)
-        code = main(["export", event, "--to", "phase-test", "--out", f"{tmp_path}/Bär.json"])
+        code = main(["export", event, "--out", f"{tmp_path}/Bär.json"])
         return code, capsys.readouterr().err
 
     with open("/dev/full", "w") as full:

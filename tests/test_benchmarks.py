@@ -26,7 +26,6 @@ REAL = pytest.mark.skipif(
 
 Figures = Callable[..., dict[str, Any]]
 Run = Callable[..., str]
-Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
@@ -42,17 +41,8 @@ def figures(tmp_path: Path, run_script: Run) -> Figures:
     return run
 
 
-def fails(run_script: Run, capsys: Capture, script: str, *options: str) -> str:
-    """Return what a benchmark says that ends with an error."""
-    with pytest.raises(SystemExit) as stop:
-        run_script(BENCHMARKS / script, *options)
-    assert stop.value.code not in (0, None)
-    return f"{stop.value.code} {capsys.readouterr().err}"
-
-
 Report = dict[str, Any]
 SLOW = pytest.mark.slow
-PROC = pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="reads /proc")
 
 RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
     "behaviour.py --only chase --seeds 1 --set simulations=60": (
@@ -61,10 +51,8 @@ RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
         lambda r: 0 < r["kernels"]["prior_mh"]["tv"] < 0.5, []),
     "budgets.py --only prior_mh --budget 60 --chains 4": (
         lambda r: 60 <= r["kernels"]["prior_mh"]["simulations"] < 64, []),
-    "budgets.py --reference --trials 3": (
-        lambda r: all(row["ranked_wrong"] <= row["ranked"] for row in r["reference"]), []),
     "simulator.py --only transitions": (lambda r: r["transition_speedup"] > 0, [SLOW]),
-    "large_sets.py --events 2 --frames 34": (lambda r: r["sets"][0]["events"] == 2, [SLOW, PROC]),
+    "large_sets.py --events 8 --frames 34": (lambda r: r["events"] == 8, [SLOW]),
     "attack.py --inputs 12 --kills 2": (lambda r: r["bad"] == [], [SLOW]),
     "calibration.py --events 2 --iterations 8 --kernel prior_mh --figure ranks.png": (
         lambda r: {*map(len, r["ranks"].values())} == {2} and Path("ranks.png").exists(), [SLOW]),
@@ -100,19 +88,6 @@ def test_it_runs_and_writes_its_figures(
     assert holds(report), report
 
 
-def test_sizes_of_the_folders_of_a_package(tmp_path: Path, figures: Figures) -> None:
-    package = tmp_path / "thing"
-    (package / "part").mkdir(parents=True)
-    (package / "__init__.py").write_text('"""Two lines,\nno code."""\n\nX = 1  # one\n"""of X"""\n')
-    (package / "part" / "a.py").write_text(
-        "def f():\n    # why\n    raise ValueError(\n        1)\n"
-    )
-    report = figures("house.py", str(package))
-    assert report["__init__.py"] == {"files": 1, "lines": 5, "code": 1, "docs": 3}
-    assert report["part"] == {"files": 1, "lines": 4, "code": 3, "docs": 0}
-    assert report["all"] == {"files": 2, "lines": 9, "code": 4, "docs": 3}
-
-
 def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: Figures) -> None:
     pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
     sizes = {"videos": 4, "trials": 2, "raters": 4, "at-once": 4, "kills": 1, "drop-outs": 0}
@@ -142,23 +117,6 @@ def test_answers_called_decided_are_compared_with_the_truth(
     assert report["all"]["answers"] == 3
     assert report["goals"]["right"]["value"] == 0.5
     assert report["all"]["decided"] == sum(one["sure"] for one in post.leaders().values())
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        # no ranks among draws that are to be weighed
-        *(
-            (f"calibration.py --events 1 --kernel {kernel}", f"invalid choice: '{kernel}'")
-            for kernel in ("importance", "smc", "enumerate")
-        ),
-        ("behaviour.py --only chase --seeds 1 --set simulation=60", "simulation"),
-    ],
-)
-def test_what_cannot_be_asked_for_is_named(
-    options: str, said: str, run_script: Run, capsys: Capture
-) -> None:
-    assert said in fails(run_script, capsys, *options.split())
 
 
 def test_events_of_another_world_are_made_and_read(tmp_path: Path, figures: Figures) -> None:
@@ -191,51 +149,6 @@ def test_misses_of_an_evaluation_are_judged_once(tmp_path: Path, figures: Figure
     assert len(judged.splitlines()) >= 1 + 2
     assert figures("accuracy.py", *options) == report
     assert kept.read_text() == judged
-
-
-def hypotheses_report(file: Path, seeds: int = 2, **videos: tuple[list[float], int]) -> str:
-    """Write a report of `realism.py hypotheses`: per video errors and wrong pairs above."""
-    told = {
-        name: {"errors": errors, "frames": 10, "better": [["a", "b", 0.0]] * n}
-        for name, (errors, n) in videos.items()
-    }
-    content = {"true_best_rate": {}, "settings": {"seeds": seeds}, "videos": told}
-    file.write_text(json.dumps(content))
-    return str(file)
-
-
-def test_reports_are_compared_video_by_video(tmp_path: Path, figures: Figures) -> None:
-    new = hypotheses_report(tmp_path / "new", one=([100.0, 100.0], 0), two=([60.0, 60.0], 0))
-    old = hypotheses_report(tmp_path / "old", one=([140.0], 3), two=([60.0], 0))
-    report = figures("realism.py", "paired", new, old)
-    means = {name: row["value"] for name, row in report.items() if name != "n_videos"}
-    # the log-likelihood is -0.05 of the error; one video differs, by 40 units in ten frames
-    assert means == pytest.approx(
-        {"log_likelihood": 1.0, "mean_error_per_frame": -2.0, "true_best_rate": 0.5}
-    )
-    # rates of different numbers of seeds are not compared
-    old = hypotheses_report(tmp_path / "old", seeds=1, one=([140.0], 3), two=([60.0], 0))
-    report = figures("realism.py", "paired", new, old)
-    assert set(report) == {"n_videos", "log_likelihood", "mean_error_per_frame"}
-
-
-@pytest.mark.parametrize(
-    ("other", "said"),
-    [
-        ("{}", "no report"),
-        ('{"videos": {}}', "no report"),
-        ("[1", "no report"),
-        (None, "different videos: two is in one of them"),
-    ],
-)
-def test_reports_that_cannot_be_compared(
-    tmp_path: Path, other: str | None, said: str, run_script: Run, capsys: Capture
-) -> None:
-    new = hypotheses_report(tmp_path / "new", one=([100.0], 0))
-    old = hypotheses_report(tmp_path / "old", one=([100.0], 0), two=([60.0], 0))
-    if other is not None:
-        Path(old).write_text(other)
-    assert said in fails(run_script, capsys, "realism.py", "paired", new, old)
 
 
 def test_missing_videos_are_reported(tmp_path: Path) -> None:

@@ -194,15 +194,13 @@ def test_compare_takes_presets_beside_kernels(
 
 
 def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys: Capture) -> None:
-    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
-    for name in ("event.json", "event.nc", "film.gif"):
+    goals = ["--goal", "red agent=red agent to red lm", "--goal", "green agent=get to red agent"]
+    for name in ("event.json", "film.mp4"):
         out = ["--out", tmp_path / name]
         told(capsys, "simulate", "collaborate", *goals, "--frames", 3, *out)
-    first, second = (phase_ppl.load_event(tmp_path / f"event.{end}") for end in ("json", "nc"))
-    assert (first.observation.trajectory == second.observation.trajectory).all()
-    with Image.open(tmp_path / "film.gif") as film:
-        assert film.n_frames > 1
-    for event, name in (("event.json", "a.mp4"), ("event.json", "a.gif"), ("event.nc", "x.png")):
+    assert phase_ppl.load_event(tmp_path / "event.json").observation.n_frames == 3
+    assert (tmp_path / "film.mp4").stat().st_size > 1000
+    for event, name in (("event.json", "a.mp4"), ("event.json", "x.png")):
         told(capsys, "render", tmp_path / event, "--out", tmp_path / name)
         assert (tmp_path / name).stat().st_size > 1000
 
@@ -210,7 +208,7 @@ def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys:
 def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    short = tmp_path / "walk.nc"
+    short = tmp_path / "walk.json"
     plain, tinted = tmp_path / "plain.png", tmp_path / "a folder" / "tinted.png"
     phase_ppl.save_event(make_event(n_frames=3), short)
     for event, options, size in (
@@ -231,7 +229,7 @@ def test_help_gives_an_example(capsys: Capture) -> None:
     names = {
         *("infer", "resume", "compare", "query", "diagnose", "report", "goals", "simulate"),
         *("evaluate", "compare-models", "reproduce", "render", "describe", "export"),
-        *("generate", "verify", "train", "fit-people", "read-video", "study"),
+        *("generate", "train", "fit-people", "read-video", "study"),
     }
     parts = ["new", "run", "status", "export", "withdraw", "exclude", "demo", "simulate"]
     for command in ([], *([name] for name in names), *(["study", part] for part in parts)):
@@ -288,48 +286,31 @@ def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
 
 
 BAD_INPUT = [
-    ("simulate collaborate --goal-red 'Get blue item to red landmark' "
-     "--goal-green 'get to red agent' --out x.json", "Get blue item to red lm"),
-    ("infer nowhere.json", "nowhere.json"),
+    ("simulate collaborate --goal 'red agent=Get blue item to red landmark' --out x.json",
+     "Get blue item to red lm"),
     ("infer collaborate --video other", "'other'"),
-    ("infer collaborate --kernel local_hm", "'local_mh'"),
-    ("infer collaborate --prior unifrom", "'uniform'"),
     ("infer collaborate --likelihood radial", "which takes a kernel that samples"),
     ("infer collaborate --watch --kernel prior_mh --on-failure retry --option rule=paper",
      "the closed loop, which samples nothing: no --kernel, --on-failure, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
     ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
      "on_failure='retry' is for simulations"),
-    ("infer collaborate --out file/out", "cannot write"),
     ("resume file", "no checkpoint"),
-    ("render collaborate --out x.avi", "ending in .mp4 or .gif or .png"),
-    ("render collaborate --frame 3 --out x.gif", "--frame draws a picture: --out"),
-    ("render collaborate --strip 3 --out x.mp4", "--strip draws a picture: --out"),
+    ("render collaborate --frame 3 --out x.mp4", "--frame draws a picture: --out"),
     ("render collaborate --strip 3 --frame 1 --out x.png", "not allowed"),
     ("render collaborate --strip 999 --out x.png", "n=999, expected one of 1..54"),
-    ("render collaborate --frame one --out x.png", "'one' is not a whole number"),
     ("compare collaborate --kernels local_mh,prior_hm", "'prior_mh'"),
     ("compare collaborate --kernels local_mh,", "different names"),
-    ("compare collaborate --kernels local_mh:rule", "OPTION=VALUE"),
-    ("compare short.json --kernels local_mh:rule=papr", "'paper'"),
     ("compare short.json --kernels prior_mh --reference enumeration:per_pair",
      "--reference: 'per_pair'"),
-    ("", "COMMAND"),
     ("infre collaborate", "unknown choice 'infre'; did you mean 'infer'?"),
-    ("export collaborate --to netcdff --out x.nc", "--to: unknown choice 'netcdff'; did you mean"),
-    ("infer collaborate --turning up", "allowed: 'both', 'ccw', 'cw'"),
     ("study run", "arguments are required: FOLDER"),
 ]  # fmt: skip
 SAMPLING = "infer short.json --quiet --kernel local_mh"
 SETTINGS = [
-    ("--chains 0", "chains=0, expected a whole number >= 1"),
     ("--budget 60m", "seconds, as in 60s"),
-    ("--budget 0s", "seconds, as in 60s"),
     ("--budget 29", "need 30"),
-    ("--budget 2.5f", "frames, as in 20000f"),
     ("--budget 60s --iterations 2", "not allowed"),
-    ("--option rule", "'rule' is not of the form NAME=VALUE"),
-    ("--option chains=3", "no option of a kernel"),
     ("--option rule=paper --option rule=exact", "given twice"),
 ]
 
@@ -461,10 +442,8 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
     assert isinstance(truth, phase_ppl.Truth)
     assert truth.goal_green == "get away from red agent"
     for wrong, message in {
-        ("--goal-red", "get to Ann", "--goal-green", "get to Ben"): "agents of 'hut' are Ann, Ben",
+        (): "the Ann has no goal, and helps or hinders nobody",
         ("--goal", "Ann"): "'Ann' is not of the form NAME=GOAL",
-        ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
-        ("--goal", "Ann=a chat", "--alpha-red", "1"): "either --goal-red and --goal-green, or",
         ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
         ("--goal", "Ann=a chat", "--goal", "Ben=pot to fire", "--strength", "Ben=big"): "'big'",
     }.items():
@@ -585,15 +564,10 @@ class TestOwnParts:
     @pytest.mark.parametrize(
         ("given", "said"),
         [
-            ("--simulator joint", "--simulator joint: expected FILE.py:NAME"),
-            ("--simulator FILE", "mine.py: expected"),
             ("--simulator FILE:stil", "did you mean 'still'?"),
-            ("--likelihood radal", "did you mean 'radial'?"),
             ("--likelihood radial:beta", "'beta' in 'radial:beta' is no OPTION=VALUE"),
             ("--likelihood stepwise:speed=1", "unexpected keyword argument 'speed'"),
-            ("--likelihood FILE:flat:beta=1", "is an object, which takes no settings"),
             ("--model stepwise --likelihood radial", "is not that of --model stepwise"),
-            ("--model stepwise --kernel smc --likelihood radial", "not that of --model stepwise"),
             ("--model simple --likelihood stepwise", "is not that of --model simple"),
             ("--simulator FILE:still --planner fast", "planner applies to the joint simulator"),
         ],

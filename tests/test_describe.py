@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import phase_ppl
+from phase_ppl.data.events_json import checksum
 from phase_ppl.data.generated import MANIFEST_SCHEMA
 from tests.data.authors.pickles import processed
 from tests.test_cli import Capture, fails, told
@@ -23,9 +24,13 @@ def folder(tmp_path: Path) -> Path:
     """A folder with a set and its manifest."""
     path = tmp_path / "my set"
     path.mkdir()
-    phase_ppl.save_events([make_event(4, "one"), make_event(5, "two")], path / "events.nc")
-    known = {"split": "train", "checksum": "not looked at here"}
-    entries = [{"id": "one", "family": "compete", **known}, {"id": "two", "group": "one", **known}]
+    events = [make_event(4, "one"), make_event(5, "two")]
+    phase_ppl.save_events(events, path / "events.json")
+    told = ({"family": "compete"}, {"group": "one"})
+    entries = [
+        {"id": event.id, "split": "train", "checksum": checksum(event), **more}
+        for event, more in zip(events, told, strict=True)
+    ]
     record = {"schema": MANIFEST_SCHEMA, "entries": entries, "kept": {"compete": 1}}
     record["rejected"] = {"compete": {"dull": 3}}
     (path / "manifest.json").write_text(json.dumps(record))
@@ -54,7 +59,7 @@ def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
     folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     assert "events: 2 events, 2 agents of unknown strength\n" in told(
-        capsys, "describe", folder / "events.nc"
+        capsys, "describe", folder / "events.json"
     )
     files = tmp_path / "files"
     files.mkdir()
@@ -78,37 +83,15 @@ def test_what_is_no_set_or_a_damaged_one_is_named(
 
 
 def test_events_of_several_files_go_into_one(tmp_path: Path, capsys: Capture) -> None:
-    for to, name in (("json", "x.json"), ("netcdf", "x.nc"), ("phase-test", "x.json")):
-        out = tmp_path / f"a new folder of {to}" / name
-        told(capsys, "export", "collaborate", "compete", "--to", to, "--out", out)
-        assert [event.id for event in phase_ppl.load_events(out)] == ["collaborate", "compete"]
+    out = tmp_path / "a new folder" / "x.json"
+    told(capsys, "export", "collaborate", "compete", "--out", out)
+    assert [event.id for event in phase_ppl.load_events(out)] == ["collaborate", "compete"]
 
 
-def test_pickles_of_the_authors_are_described_read_and_written(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_pickles_of_the_authors_are_described_and_read(tmp_path: Path, capsys: Capture) -> None:
     path, out = tmp_path / "Videos", tmp_path / "videos.json"
     path.write_bytes(pickle.dumps([processed(None), processed(3)]))
-    arguments = ["export", path, "--to", "json", "--out", out]
+    arguments = ["export", path, "--out", out]
     assert told(capsys, *arguments) == f"2 events written to {out}\n"
     assert "Videos: 2 events\n" in told(capsys, "describe", path)
     assert len(phase_ppl.load_events(out)) == 2
-    out = tmp_path / "x.pkl"
-    told(capsys, "export", "oppose", "--to", "phase-processed", "--out", out)
-    (event,) = phase_ppl.load_events(out)
-    assert (event.id, event.truth) == ("oppose", phase_ppl.load_event("oppose").truth)
-
-
-def test_bad_input_is_answered_in_one_line(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for arguments, message in {
-        "collaborate --to netcdf --out x.json": "expected a name in .nc",
-        "collaborate --to csv --out x.csv": "unknown choice 'csv'",
-        "collaborate --out x.json": "--to",
-        "nobody --to json --out x.json": "nobody: no such file",
-        "collaborate collaborate --to json --out x.json": "two videos with",
-    }.items():
-        assert message in fails(capsys, "export", *arguments.split())
-    assert not any(tmp_path.iterdir())

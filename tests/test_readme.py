@@ -172,13 +172,6 @@ def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
     assert (tmp_path / "run.ckpt").stat().st_size > 1000
 
 
-def test_the_two_commands_are_named_and_exist() -> None:
-    makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
-    for name in ("demo", "test"):
-        assert f"make {name}" in README.read_text(encoding="utf-8")
-        assert f"\n{name}:" in makefile
-
-
 def test_citation_and_changelog_are_of_this_version() -> None:
     citation = (README.parent / "CITATION.cff").read_text(encoding="utf-8")
     released = dict(re.findall(r"^(version|date-released): (\S+)$", citation, re.MULTILINE))
@@ -236,16 +229,3 @@ def test_real_videos_are_read_from_what_is_given_or_it_is_said_where_to_get_them
     for arguments in ((), (str(tmp_path / "Videos_Test_humanratings"),)):
         with pytest.raises(ppl.PhasePPLError, match="the list is empty"):
             run_script(script, *arguments)
-
-
-def test_every_example_is_listed_and_says_how_to_run_it() -> None:
-    listed = (EXAMPLES_FOLDER / "README.md").read_text(encoding="utf-8")
-    assert {*SHOWN} == {script.stem for script in EXAMPLES_FOLDER.glob("*.py")}
-    for script in EXAMPLES_FOLDER.glob("*.py"):
-        assert f"[{script.name}]({script.name})" in listed
-        assert f"python examples/{script.name}" in script.read_text(encoding="utf-8")
-
-
-def test_an_observer_is_as_short_as_it_says() -> None:
-    text = (EXAMPLES_FOLDER / "own_observer.py").read_text(encoding="utf-8")
-    assert text[text.index("def timid") : text.index("def judged_events")].count("\n") <= 10

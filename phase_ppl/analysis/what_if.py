@@ -161,7 +161,7 @@ class WhatIf(Printed):
         """Write one of the simulations as a film, both worlds side by side where there are two.
 
         Raises:
-            OutputError: another ending than .mp4 or .gif, or the file cannot be written.
+            OutputError: another ending than .mp4, or the file cannot be written.
         """
         first, *others = (world[simulation] for world in self.poses)
         beside: dict[str, Any] = {}

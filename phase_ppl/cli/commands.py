@@ -47,7 +47,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder
 
-MODULES: Final = ("infer", "results", "evaluate", "events", "generate")
+MODULES: Final = ("infer", "results", "evaluate", "events")
 """Other modules whose public functions are commands."""
 
 APPLICATIONS: Final = "phase_ppl.commands"

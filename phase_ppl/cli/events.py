@@ -1,18 +1,23 @@
-"""The commands on events: ``goals``, ``simulate``, ``render``, ``describe``, ``export``."""
+"""The commands on events: ``goals`` to ``export``, ``generate``, and ``train`` on such a set."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import shlex
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import phase_ppl
 from phase_ppl.cli import users_parts
-from phase_ppl.cli.commands import Options
-from phase_ppl.world.errors import InvalidSettingError, instance_of
+from phase_ppl.cli.commands import FAILED, Options
+from phase_ppl.world.errors import InvalidSettingError, check_name, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output, writable_folder
 
-_EVENTS, _FILMS = (".json", ".nc"), (".mp4", ".gif")  # endings of files
+_EVENTS, _FILMS = ".json", ".mp4"  # endings of files
 _STRIP = 6  # frames of a film strip, if the event has that many
 
 
@@ -26,7 +31,7 @@ def goals(options: Options) -> None:
     """
     world = users_parts.taken(options.world or "PHASE", "world")
     if isinstance(world, str):
-        if Path(world).suffix in _EVENTS:
+        if Path(world).suffix == _EVENTS:
             world = phase_ppl.load_events(world)[0].scene.world
         else:
             world = phase_ppl.worlds.named(world)
@@ -39,30 +44,24 @@ def simulate(options: Options) -> None:
 
     Args:
         $event
-        --goal-red GOAL: in PHASE
-        --alpha-red N: -1, 0 or 1; default 0
-        --strength-red X: newtons; default 450
-        --goal-green GOAL: in PHASE
-        --alpha-green N: -1, 0 or 1; default 0
-        --strength-green X: newtons; default 450
-        --goal NAME=GOAL...: in any world, of each agent that neither helps nor hinders
+        --goal NAME=GOAL...: of each agent that neither helps nor hinders
         --relation WHO=WORD=WHOM...: who helps or hinders whom, as in 'Ann=help=Ben'
         --strength NAME=NEWTON...: of an agent; default 450
         $planner
         --frames N: default: as long as the event
         --overlapping: simulate even if bodies overlap at the start
-        --out FILE: .json, .nc, .mp4 or .gif; required
+        --out FILE: .json or .mp4; required
 
-    example: phase-ppl simulate collaborate --goal-red 'Get blue item to red lm'
-      --goal-green 'get to red agent' --out simulated.mp4
+    example: phase-ppl simulate collaborate --goal 'red agent=blue item to red lm'
+      --relation 'green agent=help=red agent' --out simulated.mp4
     """
-    suffix = options.suffix(*_EVENTS, *_FILMS)
+    suffix = options.suffix(_EVENTS, _FILMS)
     event = options.load()
     hypothesis = _roles(options, event)
     given: dict[str, Any] = {"frames": event.observation.n_frames, "id": f"{event.id}-simulated"}
     given |= options.given("frames", "seed", "planner", "overlapping")
     simulated = phase_ppl.simulate(event.scene, hypothesis, **given)
-    if suffix in _EVENTS:
+    if suffix == _EVENTS:
         phase_ppl.save_event(simulated, options.out)
     else:
         phase_ppl.render.video(simulated, options.out)
@@ -71,29 +70,13 @@ def simulate(options: Options) -> None:
 
 def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
     """Return the hypothesis of the options."""
-    of_phase = [
-        f"{what}_{name}" for what in ("goal", "alpha", "strength") for name in ("red", "green")
-    ]
-    world = event.scene.world
-    if options.goal or options.relation or options.strength:
-        if options.given(*of_phase):
-            raise InvalidSettingError(
-                "give either --goal-red and --goal-green, or --goal, not parts of both"
-            )
-        relations = {}
-        for text in options.relation:
-            parts = [part.strip() for part in text.split("=")]
-            if len(parts) != 3:
-                raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
-            relations[parts[0], parts[2]] = parts[1]
-        return phase_ppl.Hypothesis.of(world, options.goal, relations, options.strength)
-    if world != phase_ppl.worlds.PHASE or None in (options.goal_red, options.goal_green):
-        raise InvalidSettingError(
-            "expected --goal-red and --goal-green, or, in any world, --goal NAME=GOAL; the agents "
-            f"of {world.name!r} are {', '.join(world.agents)}"
-        )
-    alpha = options.alpha_red or 0, options.alpha_green or 0
-    return phase_ppl.Hypothesis(**options.of(phase_ppl.Hypothesis, alpha=alpha))
+    relations = {}
+    for text in options.relation:
+        parts = [part.strip() for part in text.split("=")]
+        if len(parts) != 3:
+            raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
+        relations[parts[0], parts[2]] = parts[1]
+    return phase_ppl.Hypothesis.of(event.scene.world, options.goal, relations, options.strength)
 
 
 def render(options: Options) -> None:
@@ -104,11 +87,11 @@ def render(options: Options) -> None:
         --frame N: one frame as .png; 0 is the first, -1 the last
         | --strip N: N frames side by side as .png; default 6
         --fields-of-view: show what each agent can see
-        --out FILE: .mp4 or .gif, or .png for pictures; required
+        --out FILE: .mp4, or .png for pictures; required
 
-    example: phase-ppl render collaborate --fields-of-view --out collaborate.gif
+    example: phase-ppl render collaborate --fields-of-view --out collaborate.mp4
     """
-    picture = options.suffix(*_FILMS, ".png") == ".png"
+    picture = options.suffix(_FILMS, ".png") == ".png"
     which = options.given("frame", "strip")
     if which and not picture:
         raise InvalidSettingError(
@@ -158,24 +141,122 @@ def describe(options: Options) -> None:
     with atomic_output(out / "statistics.csv", (".csv",)) as part:
         found.to_csv(part)
     phase_ppl.plot.data_card(found, out / "data_card.png")
-    sheets = options.call(
-        phase_ppl.render.contact_sheet, events=events, path=out / "contact_sheet.png"
-    )
-    names = ", ".join(["statistics.csv", "data_card.png", *(sheet.name for sheet in sheets)])
-    print(f"\nWritten to {out}: {names}")
+    options.call(phase_ppl.render.contact_sheet, events=events, path=out / "contact_sheet.png")
+    print(f"\nWritten to {out}: statistics.csv, data_card.png, contact_sheet.png")
 
 
 def export(options: Options) -> None:
-    """Write events in another format.
+    """Write events of any files, also of PHASE's authors, into one file.
 
     Args:
         EVENTS...: files of events, or bundled events' names
-        --to json|netcdf|phase-test|phase-processed: required
-        --out FILE: required
+        --out FILE: .json; required
 
-    example: phase-ppl export collaborate compete --to phase-test --out two.json
+    example: phase-ppl export collaborate compete --out two.json
     """
-    writable_folder(options.out.parent)
+    options.suffix(_EVENTS)
     events = [event for path in options.events for event in phase_ppl.load_events(path)]
-    phase_ppl.export_events(events, options.out, options.to)
+    phase_ppl.save_events(events, options.out)
     print(f"{len(events)} event{'s' * (len(events) != 1)} written to {options.out}")
+
+
+def generate(options: Options) -> int:
+    """Make a data set of simulated social events.
+
+    Draws situations like those of PHASE, simulates them, and keeps those that show their scenario.
+
+    Args:
+        --n N: events, of PHASE in the paper's proportions; default there the paper's 500
+        | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; hinder=6 has
+            as many of each variant; may be given several times; $FILE, which registers it
+        --out DIR: required
+        --world NAME: $WORLDS; other worlds than PHASE without --cell, and all with --prior, give
+            random scenes; $FILE
+        --prior NAME: of goals and relations in random scenes, default uniform; $FILE
+        $planner
+        $seed
+        --copies N: of each event, with other reflections and colours; default 0
+        --turning both|ccw|cw: which way agents can turn, before any reflection; default both
+        $cluster
+        --videos: film every event, and draw all in one picture
+        --resume: continue the set in DIR
+        $progress
+        $versions
+
+    example: phase-ppl generate --n 20 --seed 1 --out events
+    """
+    given: dict[str, Any] = {}
+    if options.world is not None:
+        given["world"] = users_parts.taken(options.world, "world")
+    if options.prior is not None:
+        from phase_ppl.models import priors
+
+        prior = users_parts.taken(options.prior, "prior")
+        prior = priors.named(prior) if isinstance(prior, str) else prior
+        given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
+    if options.cell:
+        given["cells"] = {_family(name): number for name, number in options.cell.items()}
+    made = options.call(phase_ppl.generate, **given)
+    print(made)
+    if options.videos:
+        folder = made.path / "videos"
+        options.call(phase_ppl.render.videos, events=made, folder=folder)
+        sheet = made.path / "contact_sheet.png"
+        options.call(phase_ppl.render.contact_sheet, events=made, path=sheet)
+        print(f"{len(made)} films in {folder}; {sheet.name}")
+    given_up = made.manifest["given_up"]
+    if given_up:
+        print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
+    return FAILED if given_up else 0
+
+
+def _family(cell: str) -> str:
+    """Return the name of a cell's family, after running the file of ``FILE.py:NAME``."""
+    return cell if users_parts.taken(cell, "family") is cell else cell.rpartition(":")[2]
+
+
+def train(options: Options) -> None:
+    """Train a model of social perception on a generated data set.
+
+    Trains networks from several seeds and averages their answers. Needs the extra neural (PyTorch).
+
+    Args:
+        MODEL: socialgnn
+        --data DIR: the folder of a generated set, with the splits train and validation; required
+        --out DIR: required
+        --seeds N: networks; default 5
+        --seed N: first one; default 0
+        --variant extended|original: default extended
+        --option NAME=VALUE...: option of training, such as epochs=100; may be given several times
+        --resume: continue the training in DIR
+        $progress
+
+    example: phase-ppl train socialgnn --data events --out gnn
+    """
+    from phase_ppl.models.socialgnn.store import TrainingSettings
+
+    check_name("model to train", options.model, ["socialgnn"])
+    for name in options.option:
+        check_name("option", name, [f.name for f in dataclasses.fields(TrainingSettings)][1:])
+    settings = TrainingSettings(options.variant or "extended", **options.option)
+    writable_folder(options.out)
+    report = options.call(phase_ppl.train_socialgnn, settings=settings)
+    splits = list(report["together"])
+    print("right answers, %" + "".join(f"{split:>24}" for split in splits))
+    print(" " * 16 + f"{'goals':>12}{'relation':>12}" * len(splits) + f"{'epochs':>8}{'CPU s':>8}")
+    for member in report["members"]:
+        told = f"{member['epochs']:>8}{member['cpu_seconds']:>8.0f}"
+        print(f"seed {member['seed']:<11}{_scores(member['accuracy'])}{told}")
+    print(f"all together    {_scores(report['together'])}")
+    print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
+          f"--weights {shlex.quote(str(options.out))}")  # fmt: skip
+
+
+def _scores(by_split: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return shares of right answers about goals and relation by split, as columns in percent."""
+    cells = ""
+    for scores in by_split.values():
+        for figure in (scores.get("goal_accuracy"), scores.get("relation_accuracy")):
+            value = figure["value"] if isinstance(figure, dict) else figure
+            cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
+    return cells

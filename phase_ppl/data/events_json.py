@@ -57,15 +57,15 @@ the arena and the landmarks' half width, and a list ``videos``. Per video, ``obs
 observer may use (walls, landmarks, sizes, trajectories), ``truth`` the generating parameters,
 ``human`` counts of people's relation judgments, ``models`` the predictions of other models. Goals
 are effective ones: helper and helpee share a goal, a hinderer holds the negation.
-``mirror_of_original`` is not read. Any events of one arena can be written in this format. It cannot
-hold a start other than the first frame, ``turning`` (inferred from the angles), or
-``resets_velocity``.
+``mirror_of_original`` is not read, and ``turning`` is inferred from the angles. This format is not
+written.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final
@@ -76,15 +76,12 @@ import numpy as np
 from phase_ppl.data.documents import check_once, converted, event_id, per_name
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import (
-    FRAMES_PER_SECOND,
-    SHOWN_SECONDS_PER_FRAME,
     Event,
     Observation,
     Truth,
     truth_class,
 )
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.scene import (
     LANDMARK_HALF_WIDTH,
@@ -92,7 +89,6 @@ from phase_ppl.world.scene import (
     Scene,
     Turning,
     World,
-    check_is_phase,
     one_or_all,
     world_in_files,
 )
@@ -104,10 +100,6 @@ VIDEOS_FORMAT: Final = "phase-test-1"
 Entries = list[tuple[str, Callable[[], Event]]]
 """The events of a file: for each its id and the function that reads it."""
 
-ARRAYS: Final = ("start", "radius", "walls", "landmark_centres", "landmark_half_width", "arena")
-"""Arrays of a scene, which also has a text ``turning``, and perhaps ``resets_velocity``."""
-
-DOCUMENTS: Final = ("judgments", "predictions")  # with any content
 _LINE_CHARACTERS = 100
 
 
@@ -245,8 +237,8 @@ def event_record(event: Event) -> dict[str, Any]:
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world, truth = event.scene, event.scene.world, event.truth
     kept = world_in_files(world)
-    arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in ARRAYS}
-    arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
+    x0, x1, y0, y1 = np.asarray(scene.arena).tolist()
+    centres = scene.landmark_centres.tolist()
     tracks: Any = np.moveaxis(event.observation.trajectory, 1, 0)
     if event.observation.has_gaps:
         tracks = np.where(np.isnan(tracks), np.array(None), tracks)
@@ -254,35 +246,22 @@ def event_record(event: Event) -> dict[str, Any]:
         "format": EVENT_FORMAT,
         "id": event_id(event.id),
         **({} if kept is None else {"world": kept}),
-        "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
+        "scene": {
+            "arena": {"x": [x0, x1], "y": [y0, y1]},
+            "walls": np.asarray(scene.walls).tolist(),
+            "landmarks": dict(zip(world.landmark_names, centres, strict=True)),
+            "landmark_half_width": one_or_all(scene.half_widths.tolist()),
+            "turning": scene.turning,
+            **({"resets_velocity": True} if scene.resets_velocity else {}),
+            "radius": dict(zip(world.entities, scene.radius.tolist(), strict=True)),
+            "start": dict(zip(world.entities, scene.start.tolist(), strict=True)),
+        },
         "trajectories": dict(zip(world.entities, tracks.tolist(), strict=True)),
     }
     if truth is not None:
         record["truth"] = truth.to_dict()
-    given = ((name, getattr(event, name)) for name in DOCUMENTS)
-    return record | {name: dict(content) for name, content in given if content is not None}
-
-
-def scene_record(
-    arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False, world: World = PHASE
-) -> dict[str, Any]:
-    """Return the JSON object of a scene, given its :data:`ARRAYS` and its rules."""
-    return {
-        "arena": _arena_record(arrays["arena"]),
-        "walls": arrays["walls"],
-        "landmarks": dict(zip(world.landmark_names, arrays["landmark_centres"], strict=True)),
-        "landmark_half_width": arrays["landmark_half_width"],
-        "turning": turning,
-        **({"resets_velocity": True} if resets_velocity else {}),
-        "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
-        "start": dict(zip(world.entities, arrays["start"], strict=True)),
-    }
-
-
-def _arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
-    """Return the JSON object of x_min, x_max, y_min, y_max."""
-    x0, x1, y0, y1 = arena
-    return {"x": [x0, x1], "y": [y0, y1]}
+    given = {"judgments": event.judgments, "predictions": event.predictions}
+    return record | {name: dict(one) for name, one in given.items() if one is not None}
 
 
 def event_bytes(event: Event) -> bytes:
@@ -296,6 +275,13 @@ def events_bytes(events: Sequence[Event]) -> bytes:
     for record in records:
         del record["format"]
     return to_text({"format": EVENTS_FORMAT, "events": records}).encode()
+
+
+def checksum(event: Event) -> str:
+    """Return the SHA-256 of all contents of an event, as hexadecimal digits."""
+    # names of judgments may be numbers; JSON has strings
+    record = json.loads(to_text(event_record(event), compact=True))
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def to_text(record: Mapping[str, Any], compact: bool = False) -> str:
@@ -396,78 +382,3 @@ def _event_of_video(record: Mapping[str, Any], *, head: _Videos) -> Event:
     )
     event = Event(scene, observation, event_id(own.id), truth, own.human, own.models)
     return turned(event, observed_turning(observation.trajectory, scene.radius))
-
-
-def videos_bytes(videos: Sequence[Mapping[str, Any]], scene: Scene) -> bytes:
-    """Return the content of a file of events, each as :func:`video` has it, in a scene's arena."""
-    document = {
-        "format": VIDEOS_FORMAT,
-        "n_videos": len(videos),
-        "arena": _arena_record(scene.arena),
-        "landmark_half_width": scene.landmark_half_width,
-        "physics_seconds_per_frame": 1 / FRAMES_PER_SECOND,
-        "display_seconds_per_frame": SHOWN_SECONDS_PER_FRAME,
-        "trajectory_columns": ["x", "y", "angle"],
-        "goal_labels": list(GOALS),
-        "relation_labels": list(RELATIONS),
-        "scenario_types": list(SCENARIOS),
-        "videos": list(videos),
-    }
-    return to_text(document).encode()
-
-
-def video(event: Event, like: Scene) -> dict[str, Any]:
-    """Return the JSON object of one event of a document, in the arena of the scene ``like``."""
-    scene = event.scene
-    check_is_phase(scene.world, "this format")
-    check_start(event)
-    if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
-        raise InvalidEventError("its arena is not that of the first event")
-    own = event_record(event)
-    record: dict[str, Any] = {
-        "id": event.id,
-        "observed": {
-            "n_frames": event.observation.n_frames,
-            "wall_segments": own["scene"]["walls"],
-            "landmarks": [
-                {"name": name, "colour": name.split()[0], "centre": centre}
-                for name, centre in own["scene"]["landmarks"].items()
-            ],
-            "entities": [
-                {"name": name, "kind": name.split()[1], "colour": name.split()[0], "radius": size}
-                for name, size in own["scene"]["radius"].items()
-            ],
-            "trajectories": own["trajectories"],
-        },
-    }
-    if "truth" in own:
-        strengths = own["truth"].pop("strengths")
-        levels = {agent: strength_level(force) for agent, force in strengths.items()}
-        record["truth"] = {**own["truth"], "strength_id": levels}
-    return record | {
-        theirs: own[ours]
-        for ours, theirs in {"judgments": "human", "predictions": "models"}.items()
-        if ours in own
-    }
-
-
-def check_start(event: Event) -> None:
-    """Raise InvalidEventError unless the event starts as its first frame shows, and goes on."""
-    if not np.array_equal(event.scene.start, event.observation.trajectory[0]):
-        raise InvalidEventError(
-            "it does not start as its first frame shows, and the format has no place for that"
-        )
-    if event.scene.resets_velocity:
-        raise InvalidEventError(
-            "its agents stand still after each step, and the format has no place for that"
-        )
-
-
-def strength_level(force: float | None) -> int | None:
-    """Return the original id of a strength in newtons, which must have one; None for None."""
-    if force is None:
-        return None
-    if force not in STRENGTH_LEVELS:
-        levels = ", ".join(f"{level:g}" for level in STRENGTH_LEVELS)
-        raise InvalidEventError(f"a strength is {force:g} N, expected one of {levels}")
-    return STRENGTH_LEVELS.index(force)

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 """The first bytes of every HDF5 file, and so of every NetCDF 4 file."""
 
-_POSTERIORS: Final = ("phase-ppl-posterior-", "phase_ppl/stepwise/")
-"""The beginning of the attribute ``schema`` of a posterior's file."""
-
 _BYTES_PER_CHARACTER: Final = 4
 _ENTRIES_OF_ATTRIBUTE: Final = 32
 _ROOT: Final = "/"
@@ -45,15 +42,6 @@ _CONTROL: Final = re.compile(
 """Characters that control a terminal, plain and as JSON spells them."""
 
 Groups = dict[str, "xr.Dataset"]  # path of a group, "/" for the root -> its content
-
-
-def is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Whether ``path`` is a file that begins like HDF5."""
-    with reading_bytes("a file"):
-        if not Path(path).is_file():  # a pipe could not be read a second time
-            return False
-        with open(path, "rb") as file:
-            return file.read(len(SIGNATURE)) == SIGNATURE
 
 
 # --- writing ---------------------------------------------------------------------------------
@@ -173,7 +161,7 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     Characters of attributes that control a terminal are replaced.
     """
     with reading():
-        check_hdf5(path, groups=True)
+        _check_plain(path)
         found = content_of(path)
     seal = found[_ROOT].attrs.get(_SEAL)
     if seal is not None and seal != _checksum(found):
@@ -203,46 +191,35 @@ def root_attribute(path: str | os.PathLike[str], name: str) -> str:
     """Return a text attribute of the root of an HDF5 file; "": it has none."""
     try:
         with opened(path) as file:
-            return _text_of(file, name)
+            # a list of texts could be far larger than the file
+            single = name in file.attrs and file.attrs.get_id(name).shape == ()
+            value = file.attrs[name] if single else ""
+            return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
     except Exception:  # the reader reports what is wrong with it
         return ""
 
 
-def _text_of(file: Any, name: str) -> str:
-    # a list of texts could be far larger than the file
-    single = name in file.attrs and file.attrs.get_id(name).shape == ()
-    value = file.attrs[name] if single else ""
-    return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
+def _check_plain(source: str | os.PathLike[str] | BinaryIO) -> None:
+    """Raise InvalidEventError unless a file is HDF5 with nothing but groups of bounded arrays.
 
-
-def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = False) -> None:
-    """Raise InvalidEventError unless a file is HDF5 with nothing but arrays of bounded size.
-
-    With ``groups`` it may be a posterior's file, with groups of arrays. A large one is then read
-    if it takes at most twice as much memory as on the disk.
+    A large one is read if it takes at most twice as much memory as on the disk.
     """
     if isinstance(source, str | os.PathLike):
-        if not is_hdf5(source):
-            raise InvalidEventError("is no NetCDF 4 file: it does not begin like one")
+        with reading_bytes("a file"), open(source, "rb") as begun:
+            if begun.read(len(SIGNATURE)) != SIGNATURE:
+                raise InvalidEventError("is no NetCDF 4 file: it does not begin like one")
         n_bytes = Path(source).stat().st_size
     else:
         n_bytes = source.seek(0, os.SEEK_END)
-    left: float = max(MAX_BYTES, 2 * n_bytes) if groups else MAX_BYTES
-    with reading():
-        if n_bytes > left:
-            raise too_large(MAX_BYTES)
-        with opened(source) as file:
-            if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
-                raise InvalidEventError(
-                    "is a posterior, not an event; phase_ppl.load_posterior reads it"
-                )
-            for size in _sizes(file, n_bytes, groups):
-                left -= size
-                if left < 0:
-                    raise too_large(MAX_BYTES)
+    left: float = max(MAX_BYTES, 2 * n_bytes)
+    with opened(source) as file:
+        for size in _sizes(file, n_bytes):
+            left -= size
+            if left < 0:
+                raise too_large(MAX_BYTES)
 
 
-def _sizes(group: Any, n_bytes: int, inner: bool) -> Iterator[float]:
+def _sizes(group: Any, n_bytes: int, inner: bool = True) -> Iterator[float]:
     """Yield the memory of each part of a group in a file of ``n_bytes`` bytes.
 
     ``inner``: it may hold further groups. InvalidEventError: it is not plain.

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
-from pathlib import Path
-from types import ModuleType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from phase_ppl.data import events_json
 from phase_ppl.data.documents import (
     check_ids,
+    event_id,
     in_front,
     is_pickle,
     naming,
@@ -25,32 +24,19 @@ from phase_ppl.data.events_json import Entries, event_from_record, turned
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
-    PhasePPLError,
     check_name,
     instance_of,
 )
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 PathLike = str | os.PathLike[str]
 
-_LOOKED_AT: Final = 1000  # entries of a folder that was given instead of a file
-_TRIED: Final = 5  # files of it that are read, to say whether they are event files
-_SMALL: Final = 16 * 2**20  # largest of these, bytes
-
 _JSON: Final = ".json"
-_NETCDF: Final = ".nc"
-SUFFIXES: Final = (_JSON, _NETCDF)
-"""Endings of event files."""
-
-EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
-    "json": (_JSON,),
-    "netcdf": (_NETCDF,),
-    "phase-test": (_JSON,),
-    "phase-processed": (".pkl", ".pickle", ".pik"),
-}
-"""Format -> endings of its file names."""
 
 
 def bundled_events() -> list[str]:
@@ -74,11 +60,10 @@ def load_event(
     """Read one event.
 
     Args:
-        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`),
-            NetCDF (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
-            (:mod:`phase_ppl.data.authors.videos`). Only plain data are read from pickles; no code
-            in them is run. Or the name of a bundled event, with or without ".json", if no file has
-            that name.
+        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`) or
+            a pickle of PHASE's authors (:mod:`phase_ppl.data.authors`). Only plain data are read
+            from pickles; no code in them is run. Or the name of a bundled event, with or without
+            ".json", if no file has that name.
         video: id of the wanted event; required if the file holds several.
         turning: "both", "ccw" or "cw" instead of the file's value.
 
@@ -123,42 +108,21 @@ def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Even
     return [_read(path, entry, turning) for entry in _entries(path)]
 
 
-def _inside(folder: Path) -> str:
-    """Return which of the first files of a folder are event files, in words; "": none."""
-    files, found = [], []
-    with contextlib.suppress(OSError):
-        first = itertools.islice(folder.iterdir(), _LOOKED_AT)
-        files = sorted(one for one in first if one.suffix in SUFFIXES and one.is_file())
-    for file in files[:_TRIED]:
-        with contextlib.suppress(PhasePPLError, OSError):
-            if file.stat().st_size <= _SMALL and _entries(file):
-                found.append(file.name)
-    are = "are event files" if len(found) > 1 else "is an event file"
-    return f"; {' and '.join(found)} in it {are}" if found else ""
-
-
 def _entries(path: PathLike) -> Entries:
     bundled = _bundled_name(path)
-    if bundled is None and (folder := as_path(path)).is_dir():
+    if bundled is None and as_path(path).is_dir():
         with naming(path):
-            raise InvalidEventError(f"is a folder, expected an event file{_inside(folder)}")
+            raise InvalidEventError("is a folder, expected an event file")
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
-    from phase_ppl.data.hdf5 import is_hdf5
-
     with naming(path):
         if is_pickle(path):
             # imported only here, as it brings the simulator
-            from phase_ppl.data.authors import videos
+            from phase_ppl.data import authors
 
             with in_front("is a pickle (only pickles of PHASE's authors can be read): "):
-                entries = videos.read(path)
-        elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
-            # likewise xarray
-            from phase_ppl.data import events_netcdf
-
-            entries = events_netcdf.read(path)
+                entries = authors.read(path)
         else:
             entries = events_json.read(read_document(path))
         check_ids([name for name, _ in entries])
@@ -196,7 +160,7 @@ def _check_turning(turning: str | None) -> None:
 
 
 def save_event(event: Event, path: PathLike) -> None:
-    """Write ``event`` to a ".json" or ".nc" file; :func:`load_event` gives the same event back.
+    """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
 
     Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
 
@@ -205,11 +169,11 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions have no form in JSON, or the id is no
             printable text.
     """
-    _write(path, lambda form: form.event_bytes(event))
+    _write(path, lambda: events_json.event_bytes(event))
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
-    """Write several events to a ".json" or ".nc" file; :func:`load_events` gives them back.
+    """Write several events to a ".json" file; :func:`load_events` gives them back.
 
     Raises:
         OutputError: the file cannot be written.
@@ -221,52 +185,41 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
-    _write(path, lambda form: form.events_bytes(events))
+    _write(path, lambda: events_json.events_bytes(events))
 
 
-def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
-    """Write events to a file in a given format.
+def _write(path: PathLike, content: Callable[[], bytes]) -> None:
+    check_output(path, (_JSON,))  # errors of the path come before errors of the content
+    with naming(path):
+        made = content()
+    write_bytes(path, (_JSON,), made)
 
-    Args:
-        events: with different ids.
-        path: its ending must be one of the format's, see ``EXPORTS``.
-        format: "json" or "netcdf", as :func:`save_events` writes them;
-            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.data.events_json`);
-            "phase-processed", a pickle of plain data and arrays like the authors'
-            (:mod:`phase_ppl.data.authors.videos`). :func:`load_events` reads all of them. The first
-            two keep everything, the others only what the format can hold.
 
-    Raises:
-        UnknownNameError: there is no such format.
-        OutputError: the file cannot be written, or its name has a wrong ending.
-        InvalidEventError: no events, an id given twice, or the format cannot hold something of an
-            event.
+def event_dataset(event: Event) -> xr.Dataset:
+    """Return an event's arrays as a Dataset, with names along its dimensions.
+
+    ``trajectory`` (time, entity, coord), ``radius`` (entity), ``walls`` (wall, end, xy),
+    ``landmark_centres`` (landmark, xy) and ``landmark_half_width`` (landmark) are in units of
+    length, angles in radians, ``time`` in seconds simulated. Attributes are ``event``, its id, and
+    ``truth`` as JSON.
     """
-    check_name("format", format, EXPORTS)
-    check_output(path, EXPORTS[format])
-    if format in ("json", "netcdf"):
-        return save_events(events, path)
-    with naming(path):
-        check_ids([event.id for event in events])
-    from phase_ppl.data.authors import videos as authors
+    import xarray as xr
 
-    like, is_json, videos = events[0].scene, format == "phase-test", []
-    for event in events:
-        with naming(path, event.id):
-            videos.append(events_json.video(event, like) if is_json else authors.video(event))
-    content = events_json.videos_bytes(videos, like) if is_json else authors.pickled(videos)
-    write_bytes(path, EXPORTS[format], content)
-
-
-def _write(path: PathLike, content: Callable[[ModuleType], bytes]) -> None:
-    check_output(path, SUFFIXES)  # errors of the path come before errors of the content
-    form: ModuleType = events_json
-    if _is_netcdf(path):
-        from phase_ppl.data import events_netcdf as form  # which brings xarray: only where needed
-    with naming(path):
-        made = content(form)
-    write_bytes(path, SUFFIXES, made)
-
-
-def _is_netcdf(path: PathLike) -> bool:
-    return Path(path).suffix.lower() == _NETCDF
+    instance_of("event", event, Event, "a phase_ppl.Event")
+    scene, world, truth = event.scene, event.scene.world, event.truth
+    arrays = {
+        "trajectory": (("time", "entity", "coord"), event.observation.trajectory.copy()),
+        "radius": ("entity", scene.radius.copy()),
+        "walls": (("wall", "end", "xy"), np.array(scene.walls)),
+        "landmark_centres": (("landmark", "xy"), scene.landmark_centres.copy()),
+        "landmark_half_width": ("landmark", np.array(scene.half_widths)),
+    }
+    names = {
+        "time": np.arange(event.observation.n_frames) / FRAMES_PER_SECOND,
+        "entity": list(world.entities),
+        "coord": ["x", "y", "angle"],
+        "landmark": list(world.landmark_names),
+        "xy": ["x", "y"],
+    }
+    known = {} if truth is None else {"truth": events_json.to_text(truth.to_dict(), compact=True)}
+    return xr.Dataset(arrays, names, {"event": event_id(event.id), **known})

@@ -45,7 +45,7 @@ from typing import Any, Final
 import msgspec
 import pandas as pd
 
-from phase_ppl.data.authors.videos import parse_name
+from phase_ppl.data.authors import parse_name
 from phase_ppl.data.documents import Keep, in_front, of_kind, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
@@ -306,7 +306,7 @@ def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
 # --- the events of an evaluation, and people's judgments of them ----------------------------------
 
 GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
-EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events
+EVENT_FILES: Final = (".json",)  # endings of the files that are read from a folder of events
 
 
 def all_events(

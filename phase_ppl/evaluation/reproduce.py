@@ -233,7 +233,6 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
         found |= {name: Asked(name, 34) for name in (*lesions.split(), "no_social_goals")}
         found |= {
             "stepwise": Asked("stepwise", 10),
-            "message_passing": Asked("socialgnn", 0.05, {"variant": "message_passing"}),
             "last_frame": Asked("last_frame", 0),
             "majority": Asked("majority", 0),
         }
@@ -268,9 +267,9 @@ def reproduce(
 
     Args:
         out: folder to keep everything in; ``reproduction.html`` in it shows all results.
-        videos: file of real videos: the authors' release, or JSON in the format "phase-test" of
-            :func:`phase_ppl.export_events`. Without it, or with the folder of a generated set, the
-            run is a trial on a test split, and says so.
+        videos: file of real videos: the authors' release, or JSON in the format "phase-test"
+            (:mod:`phase_ppl.data.events_json`). Without it, or with the folder of a generated set,
+            the run is a trial on a test split, and says so.
         profile: "quick": SIMPLE with few simulations and small searches; "paper": SIMPLE as
             printed, as intended and as it is here; "full": also all lesions and models beyond the
             paper.

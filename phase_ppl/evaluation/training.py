@@ -32,7 +32,7 @@ from phase_ppl.data.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.models.socialgnn import store
-from phase_ppl.models.socialgnn.graphs import Examples, frame_graphs
+from phase_ppl.models.socialgnn.graphs import example, frame_graphs
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, needs_torch
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
@@ -49,8 +49,8 @@ from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import check_is_phase
 
 TRAINING, VALIDATION, TEST = "train", "validation", "test"
-"""Splits of the set: networks learn from the first, the second says when to stop; where there is
-the third, the report scores it too."""
+"""Splits of the set: networks learn from the first, the second is looked at in every epoch; where
+there is the third, the report scores it too."""
 
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
@@ -93,7 +93,7 @@ def train_socialgnn(
         OutputError: ``out`` cannot be written, holds a training of something else, or another
             process is at work in it.
     """
-    settings = settings or TrainingSettings.of("extended")
+    settings = settings or TrainingSettings()
     n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
     wanted = range(whole_number("seed", seed, 0), seed + n_seeds)
     found = GeneratedEvents(data)
@@ -149,7 +149,7 @@ def _is_finished(folder: Path, seed: int) -> bool:
         return False
     try:
         store.load(record.with_suffix(".npz"))
-        recorded = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
+        recorded = {"seed", "epochs", "cpu_seconds", "curves"}
         return read_json(record).keys() >= recorded
     except PhasePPLError:  # damaged: it is trained again
         return False
@@ -165,15 +165,14 @@ def _train(
     from phase_ppl.models.socialgnn.network import fit
 
     training, validation = (
-        Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)
+        [example(event, settings.variant) for event in splits[name]]
+        for name in (TRAINING, VALIDATION)
     )
     with Bar(len(seeds) * settings.epochs, 0, progress, "epoch", "training") as bar:
         for seed in seeds:
             clock = time.process_time()
             fitted = fit(training, validation, settings, seed, bar.update)
             seconds = time.process_time() - clock
-            for _ in range(settings.epochs - len(fitted.curves["training"])):
-                bar.update()  # for epochs that were not needed
             store.save([fitted.arrays], folder / MEMBERS / f"{seed}.npz")
             curves = {
                 name: [round(value, _DIGITS) for value in values]
@@ -182,7 +181,6 @@ def _train(
             record = {
                 "seed": seed,
                 "epochs": len(curves["training"]),
-                "best_epoch": fitted.best + 1,
                 "cpu_seconds": round(seconds, 1),
                 "curves": curves,
             }
@@ -234,7 +232,7 @@ def _finish(
 
 def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
     """Return the command that makes these networks, of a set and in a folder of any name."""
-    usual = vars(TrainingSettings.of(settings.variant))
+    usual = vars(TrainingSettings(settings.variant))
     changed = {name: v for name, v in vars(settings).items() if v != usual[name]}
     given = [f"--option {name}={json.dumps(value)}" for name, value in changed.items()]
     given.append(f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR")

@@ -24,7 +24,6 @@ from phase_ppl.models.prior_masses import PriorMasses
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
 from phase_ppl.world.arrays import FloatArray, finite_array
-from phase_ppl.world.clock import Clock
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -38,6 +37,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Ev
 from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
+from phase_ppl.world.tracks import Clock
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior

@@ -8,6 +8,6 @@
 * ``likelihood``: whole simulations against the video. ``stepwise``: each frame given those before
   it, the closed loop.
 * ``bridge``: compiled kernels ask for simulations through it. ``compiled``: compiled functions kept
-  on disk. ``uniform``: a model as a function of uniform numbers.
+  on disk.
 * ``predicate``, ``socialgnn`` and ``vlm``: the paper's other models.
 """

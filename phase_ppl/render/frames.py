@@ -11,7 +11,7 @@ import functools
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -24,9 +24,8 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, whole
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation, unwrapped
-from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.picture import SCENARIO_COLOURS, Colour, trail_colour
-from phase_ppl.world.progress import Bar
+from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene
 
 _RAYS: Final = 361
@@ -482,7 +481,6 @@ def draw_strip(
 
 UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)  # of events without truth
 THUMBNAIL: Final = 192
-PER_PAGE: Final = 500
 
 _GAP: Final = 10
 _MARGIN: Final = 18
@@ -490,9 +488,8 @@ _LINE: Final = 5
 _CAPTION: Final = 25
 _TEXT_SIZE: Final = 13
 _LEGEND_TEXT_SIZE: Final = (17, 2)
-"""Least text size of the legend, pixels, and its growth per column: large pages look small."""
+"""Least text size of the legend, pixels, and its growth per column: large sheets look small."""
 
-_LEGEND_LINE: Final = 3  # half text sizes from line to line
 _CAPTION_COLOUR: Final[Colour] = (60, 60, 60)
 _SHEET_FINE: Final = 3
 _SHEET_PALE: Final = 0.55
@@ -504,75 +501,58 @@ def contact_sheet(
     events: Sequence[Event],
     path: str | os.PathLike[str],
     columns: int | None = None,
-    captions: bool = True,
     *,
-    per_page: int = PER_PAGE,
     progress: bool | None = None,
-) -> list[Path]:
+) -> Path:
     """Write one picture of many events: each has its last frame, the paths there and its start.
 
     The start is faint. Captions are ids below a line in the colour of the scenario; a legend above
-    explains the colours. Sets larger than a page are spread over several, NAME-1.png, NAME-2.png
-    and so on.
+    explains the colours. A sheet of 500 events takes some 60 MB while it is drawn.
 
     Args:
         events: shown in this order, row by row.
         path: the file, ending in ".png".
-        columns: events per row; by default the page is about square.
-        captions: whether to write captions and the legend.
-        per_page: most events of a page; a page of 500 takes some 60 MB while it is drawn.
+        columns: events per row; by default the sheet is about square.
         progress: whether to show a progress bar; None: where stderr is a terminal.
 
     Returns:
-        The files.
+        The file.
 
     Raises:
         InvalidEventError: there are no events.
-        InvalidSettingError: ``columns`` or ``per_page`` is no whole number >= 1.
-        OutputError: a file cannot be written.
+        InvalidSettingError: ``columns`` is no whole number >= 1.
+        OutputError: the file cannot be written.
     """
     if not events:
         raise InvalidEventError("there are no events to draw")
-    whole_number("per_page", per_page)
     if columns is None:
-        columns = math.ceil(math.sqrt(min(len(events), per_page)))
+        columns = math.ceil(math.sqrt(len(events)))
     columns = min(whole_number("columns", columns), len(events))
-    target = Path(path)
-    pages = [events[start : start + per_page] for start in range(0, len(events), per_page)]
-    paths = [
-        target if len(pages) == 1 else target.with_name(f"{target.stem}-{n}{target.suffix}")
-        for n in range(1, len(pages) + 1)
-    ]
-    with Bar(len(events), 0, progress, "event", "contact sheet") as bar:
-        for page, file in zip(pages, paths, strict=True):
-            with atomic_output(file, (".png",)) as part:
-                _page(page, columns, captions, bar.update).save(part, "PNG")
-    return paths
+    with atomic_output(path, (".png",)) as part:
+        drawn = counted(events, progress, "event", "contact sheet")
+        _sheet(events, drawn, columns).save(part, "PNG")
+    return Path(path)
 
 
-def _page(
-    events: Sequence[Event], columns: int, captions: bool, done: Callable[[], object]
-) -> Image.Image:
-    """Return a page; ``done`` is called after each event."""
-    caption = _CAPTION if captions else 0
+def _sheet(events: Sequence[Event], drawn: Iterator[Event], columns: int) -> Image.Image:
+    """Return the sheet; ``drawn`` are the events once more, counted as they are drawn."""
     text_size = max(_LEGEND_TEXT_SIZE[0], _LEGEND_TEXT_SIZE[1] * columns)
-    across, down = THUMBNAIL + _GAP, THUMBNAIL + caption + _GAP
-    width = 2 * _MARGIN - _GAP + columns * across
-    lines = _legend(events, text_size, width) if captions else []
-    legend = (_LEGEND_LINE * len(lines) + 1) * text_size // 2 if captions else 0
-    size = (
-        width,
-        2 * _MARGIN - _GAP + legend + math.ceil(len(events) / columns) * down,
-    )
+    found = Counter(map(_scenario, events))
+    colours = {name: colour for name, colour in _COLOURS.items() if found[name]}
+    top = _MARGIN + 3 * text_size * len(colours) // 2
+    across, down = THUMBNAIL + _GAP, THUMBNAIL + _CAPTION + _GAP
+    rows = math.ceil(len(events) / columns)
+    size = 2 * _MARGIN - _GAP + columns * across, top + _MARGIN - _GAP + rows * down
     picture = Image.new("RGB", size, Painter.background)
-    _write_legend(picture, lines, text_size)
-    for index, event in enumerate(events):
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(text_size)
+    for line, (name, colour) in enumerate(colours.items()):
+        text = f"{found[name]} {name or 'of no known scenario'}"
+        draw.text((_MARGIN, _MARGIN + 3 * text_size * line // 2), text, fill=colour, font=font)
+    for index, event in enumerate(drawn):
         row, column = divmod(index, columns)
-        x, y = _MARGIN + column * across, _MARGIN + legend + row * down
+        x, y = _MARGIN + column * across, top + row * down
         picture.paste(thumbnail(event), (x, y))
-        if captions:
-            _write_caption(picture, event, x, y + THUMBNAIL)
-        done()
+        _write_caption(draw, event, x, y + THUMBNAIL)
     return picture
 
 
@@ -585,63 +565,20 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
     return ImageOps.pad(arena, (side, side), Image.Resampling.LANCZOS, Painter.background)
 
 
+_COLOURS: Final = {**SCENARIO_COLOURS, "": UNKNOWN_COLOUR}
+
+
 def _scenario(event: Event) -> str:
     """Return the scenario of an event of PHASE with truth; "" for others."""
     return event.truth.scenario if isinstance(event.truth, Truth) else ""
 
 
-def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
+def _write_caption(draw: ImageDraw.ImageDraw, event: Event, x: int, y: int) -> None:
     """Write a caption below a thumbnail whose lower left corner is (x, y)."""
-    font, draw = ImageFont.load_default(_TEXT_SIZE), ImageDraw.Draw(picture)
-    colour = SCENARIO_COLOURS.get(_scenario(event), UNKNOWN_COLOUR)
-    draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=colour)
+    font = ImageFont.load_default(_TEXT_SIZE)
+    draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=_COLOURS[_scenario(event)])
     text = " ".join(event.id.split())
     while font.getlength(text) > THUMBNAIL:
         text = f"{text[:-4]}..."
     middle = y + (_LINE + _CAPTION) // 2
     draw.text((x, middle), text, fill=_CAPTION_COLOUR, font=font, anchor="lm")
-
-
-def _legend(
-    events: Sequence[Event], text_size: int, width: int
-) -> list[list[tuple[Colour | None, str, int]]]:
-    """Return lines of a legend: numbers of events, in all and of each scenario, each with its x."""
-    found = Counter(map(_scenario, events))
-    entries: list[tuple[Colour | None, str]] = [
-        (None, f"{len(events)} event{'' if len(events) == 1 else 's'}"),
-        *((SCENARIO_COLOURS[name], f"{name} {found[name]}") for name in SCENARIOS if found[name]),
-    ]
-    if found[""]:
-        entries.append((UNKNOWN_COLOUR, f"of no known scenario {found['']}"))
-    font, x = ImageFont.load_default(text_size), _MARGIN
-    lines: list[list[tuple[Colour | None, str, int]]] = [[]]
-    for colour, text in entries:
-        wide = round(font.getlength(text)) + (0 if colour is None else _before_text(text_size))
-        if lines[-1] and x + wide > width - _MARGIN:
-            lines.append([])
-            x = _MARGIN
-        lines[-1].append((colour, text, x))
-        x += wide + 2 * text_size
-    return lines
-
-
-def _before_text(text_size: int) -> int:
-    """Return the width of a legend's chip and the gap after it."""
-    return round(0.7 * text_size) + text_size // 2
-
-
-def _write_legend(
-    picture: Image.Image, lines: list[list[tuple[Colour | None, str, int]]], text_size: int
-) -> None:
-    """Write a legend at the top of a picture."""
-    font, draw = ImageFont.load_default(text_size), ImageDraw.Draw(picture)
-    chip = round(0.7 * text_size)
-    for number, line in enumerate(lines):
-        middle = _MARGIN + text_size // 2 + number * _LEGEND_LINE * text_size // 2
-        for colour, text, x in line:
-            start = x
-            if colour is not None:
-                top = middle - chip // 2
-                draw.rectangle((x, top, x + chip - 1, top + chip - 1), fill=colour)
-                start += _before_text(text_size)
-            draw.text((start, middle), text, fill=_CAPTION_COLOUR, font=font, anchor="lm")

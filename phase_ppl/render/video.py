@@ -1,4 +1,4 @@
-"""Animations as MP4 or GIF: an event, or a prediction beside the observation."""
+"""Animations as MP4: an event, or a prediction beside the observation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import hashlib
 import os
 import re
 import subprocess
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
@@ -29,19 +28,15 @@ from phase_ppl.render.frames import (
 )
 from phase_ppl.world.errors import (
     InvalidEventError,
-    InvalidSettingError,
     number_of_workers,
     positive_number,
     shown,
     whole_number,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, atomic_output, writable_folder
+from phase_ppl.world.files import atomic_output, writable_folder
 from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import Scene
-
-MAX_GIF_FPS: Final = 50
-"""Frames of a GIF last whole hundredths of a second, and viewers slow down those that last one."""
 
 
 class Film(os.PathLike[str]):
@@ -62,40 +57,17 @@ class Film(os.PathLike[str]):
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode("ascii")
-        if self.path.suffix.lower() == ".gif":
-            return f'<img src="data:image/gif;base64,{data}" alt="an animation">'
         source = f"data:video/mp4;base64,{data}"
         return f'<video controls loop style="max-width: 100%" src="{source}"></video>'
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
     """Write RGB frames of one even size as H.264 (yuv420p); OSError: ffmpeg's last line."""
-    codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
-    _encode(frames, fps, [*codec, str(path)])
-
-
-def encode_gif(
-    frames: Iterable[Image.Image], path: Path, fps: float, samples: Iterable[Image.Image]
-) -> None:
-    """Write RGB frames of one size as an endless GIF into ``path``.
-
-    All frames share one palette, of colours in ``samples``. There is no dithering, which would put
-    noise on plain areas. Only the changes of each frame are stored. OSError: as above.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        palette = Path(folder) / "palette.png"
-        _encode(samples, fps, ["-vf", "palettegen=reserve_transparent=0", str(palette)])
-        filters = ["-i", str(palette), "-lavfi", "paletteuse=dither=none:diff_mode=rectangle"]
-        _encode(frames, fps, [*filters, "-loop", "0", str(path)])
-
-
-def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) -> None:
-    """Hand frames to ffmpeg with the options ``result``."""
     process: subprocess.Popen[bytes] | None = None
     try:
         for frame in frames:
             if process is None:
-                process = _start(frame.size, fps, result)
+                process = _start(frame.size, fps, path)
             assert process.stdin is not None
             process.stdin.write(frame.tobytes())
     except BrokenPipeError:
@@ -113,17 +85,19 @@ def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) ->
         raise OSError(f"the video encoder failed: {lines[-1]}")
 
 
-def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subprocess.Popen[bytes]:
+def _start(size: tuple[int, int], fps: float, path: Path) -> subprocess.Popen[bytes]:
     """Start ffmpeg (OSError: it is missing, or cannot be started)."""
     import imageio_ffmpeg
 
     rate = str(Fraction(fps).limit_denominator(1001))
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", rate]
+    codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
     program = "ffmpeg"
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
         return subprocess.Popen(
-            [program, "-v", "error", "-y", *source, "-i", "-", *result], stdin=subprocess.PIPE,
+            [program, "-v", "error", "-y", *source, "-i", "-", *codec, str(path)],
+            stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C reaches Python only, which then ends it
         )  # fmt: skip
@@ -139,9 +113,6 @@ FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
 """At 20 frames per second a planner step lasts 0.25 s, three times its simulated time."""
 
-_SAMPLES: Final = 24  # evenly spaced frames from which a GIF takes its colours
-SUFFIXES: Final = (".mp4", ".gif")
-CAPTIONS: Final = ("observed", "predicted")
 _CAPTION_SIZE: Final = 20
 _CAPTION_Y: Final = 19
 
@@ -156,25 +127,25 @@ def video(
     fields_of_view: bool = False,
     compare: Drawable | None = None,
     compare_scene: Scene | None = None,
-    captions: tuple[str, str] = CAPTIONS,
+    captions: tuple[str, str] = ("observed", "predicted"),
     progress: bool = False,
 ) -> Film:
-    """Write an animation in the look of the PHASE videos as MP4 (H.264) or GIF.
+    """Write an animation in the look of the PHASE videos as MP4 (H.264).
 
     Frames of a trajectory are means over a step. Between them, bodies move on straight lines.
 
     Args:
         what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
-        path: the file, ending in ".mp4" or ".gif"; it appears only once it is complete.
+        path: the file, ending in ".mp4"; it appears only once it is complete.
         scene: walls, landmarks and sizes; required unless ``what`` is an event.
-        fps: frames per second, of a GIF at most 50.
+        fps: frames per second.
         frames_per_step: drawn frames per frame of the trajectory.
         fields_of_view: whether to show what each agent can see from its drawn place, by the
             simulator's rule (:mod:`phase_ppl.render.frames`).
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in its
             own scene. The shorter one stands still at its end.
         compare_scene: scene of the second trajectory, if it is another.
-        captions: texts above the two.
+        captions: names of the two, above them.
         progress: whether to show a progress bar.
 
     Returns:
@@ -186,9 +157,6 @@ def video(
         OutputError: the film cannot be written, or there is no ffmpeg.
     """
     positive_number("fps", fps)
-    as_gif = as_path(path).suffix.lower() == ".gif"
-    if as_gif and fps > MAX_GIF_FPS:
-        raise InvalidSettingError(f"fps={fps!r}, but a GIF has at most {MAX_GIF_FPS} a second")
     whole_number("frames_per_step", frames_per_step)
     shown = [scene_and_trajectory(what, scene)]
     if compare is not None:
@@ -205,20 +173,18 @@ def video(
         drawn = [painter.draw(track[index]) for painter, track in zip(painters, poses, strict=True)]
         return drawn[0] if compare is None else _beside(drawn, captions)
 
-    with atomic_output(path, SUFFIXES) as part:
-        frames = map(draw, counted(range(n_frames), progress, "frame", "drawing"))
-        if as_gif:
-            chosen = np.linspace(0, n_frames - 1, min(_SAMPLES, n_frames)).round().astype(int)
-            encode_gif(frames, part, fps, map(draw, chosen))
-        else:
-            encode_mp4(frames, part, fps)
-    return Film(path)
+    moments = counted(range(n_frames), progress, "frame", "drawing")
+    return _written(map(draw, moments), path, fps)
 
 
 def film(draw: Callable[[int], Image.Image], n_frames: int, path: str | os.PathLike[str]) -> Film:
     """Write frames 0, 1, ... that ``draw`` returns as MP4 (OutputError: it cannot be written)."""
+    return _written(map(draw, range(n_frames)), path, FRAMES_PER_SECOND)
+
+
+def _written(frames: Iterable[Image.Image], path: str | os.PathLike[str], fps: float) -> Film:
     with atomic_output(path, (".mp4",)) as part:
-        encode_mp4(map(draw, range(n_frames)), part, FRAMES_PER_SECOND)
+        encode_mp4(frames, part, fps)
     return Film(path)
 
 

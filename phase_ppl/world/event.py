@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray, finite_array
-from phase_ppl.world.clock import FRAMES_PER_SECOND as FRAMES_PER_SECOND
-from phase_ppl.world.clock import GAP, Clock
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -35,7 +33,16 @@ from phase_ppl.world.hypothesis import (
 from phase_ppl.world.names import AGENTS, NOTHING, Literal
 from phase_ppl.world.picture import drawn
 from phase_ppl.world.scene import PHASE, Scene, World, check_inside
-from phase_ppl.world.tracks import bridged, headings, in_order, read_array, read_table
+from phase_ppl.world.tracks import FRAMES_PER_SECOND as FRAMES_PER_SECOND
+from phase_ppl.world.tracks import (
+    GAP,
+    Clock,
+    bridged,
+    headings,
+    in_order,
+    read_array,
+    read_table,
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -230,9 +230,9 @@ def test_what_was_removed_is_in_no_room_and_near_nothing() -> None:
 
 def test_a_film_shows_both_worlds(alone: WhatIf, tmp_path: Path) -> None:
     brief = dataclasses.replace(alone, poses=alone.poses[:, :, :3])
-    film = brief.film(tmp_path / "both.gif")
+    film = brief.film(tmp_path / "both.mp4")
     assert film.path.stat().st_size > 1000
-    assert film._repr_html_().startswith("<img src")
+    assert film._repr_html_().startswith("<video controls")
 
 
 def test_what_cannot_be_is_refused(contested: ppl.Posterior) -> None:

@@ -39,7 +39,7 @@ def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str
     return message
 
 
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("protocol", [0, 2, pickle.HIGHEST_PROTOCOL])
 def test_other_pickles_than_the_authors_are_refused_without_running_them(
     tmp_path: Path, protocol: int
 ) -> None:
@@ -66,27 +66,21 @@ def test_a_pickle_in_place_of_another_document_is_not_loaded(tmp_path: Path) -> 
 
 FILES: list[tuple[bytes, str]] = [
     (b"", "is empty"),
-    (b" \n ", "is empty"),
     (b"hello world", "is not JSON: line 1: JSON is malformed: invalid character (byte 0)"),
     (b'{"id": "x", "scene": [', "is not JSON: line 1: Input data was truncated"),
-    (bytes(range(100)), "is not JSON: line 1: "),
     ('{"id": "Mädchen"}'.encode("latin-1"), "is no text in UTF-8"),
     (b"[1, 2, 3]", "is no JSON object: Expected `object`, got `array`"),
     (b'{"id": "x"}', "is no event file: it has no format"),
     (b'{"format": "phase-replays-1"}', "has format 'phase-replays-1', expected"),
-    (b'{"format": []}', "has format [], expected"),
     (b'{"format": "phase-ppl-event-1", "id": NaN}', "is not JSON: line 1: "),
     (b'{"format": 1e999}', "Number out of range"),
     (b'{"format": ' + b"9" * 5000 + b"}", "Integer value out of range"),
     (b'{"format": "x", "format": "y"}', "holds an object with two fields 'format'"),
-    (b'{"format": "x", "a": [{"b": 1, "c": {}, "b": 1}]}', "with two fields 'b'"),
     (b'{"a":' * 100_000, "nested too deeply"),
     (b'{"format": "phase-ppl-event-1"}', "id is None, expected printable text"),
-    (b'{"format": "phase-ppl-event-1", "id": "a\\nb"}', "id is 'a\\nb'"),
     (b'{"format": "phase-ppl-events-1", "events": {}}', "events: Expected 'array', got 'object'"),
     (b'{"format": "phase-ppl-events-1", "events": []}', "the list is empty"),
     (b'{"format": "phase-ppl-events-1", "events": [3]}', "events[0]: Expected 'object', got 'int'"),
-    (b'{"format": "phase-ppl-events-1", "events": [{}]}', "id is None, expected printable text"),
     (b'{"format": "phase-test-1"}', "missing required field"),
 ]
 
@@ -99,15 +93,10 @@ def test_a_file_that_is_no_event_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "holds two videos with the id 'v1'" in refused(write(tmp_path, video(), video()))
 
 
-@pytest.mark.parametrize("suffix", [".json", ".nc"])
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, suffix: str) -> None:
-    assert "no such file" in refused(tmp_path / f"none{suffix}")
-    (tmp_path / f"folder{suffix}").mkdir()
-    assert "is a folder, expected an event file" in refused(tmp_path / f"folder{suffix}")
-    (tmp_path / "other.json").write_text("{}")
-    assert refused(tmp_path).endswith("expected an event file")
-    save_event(load_event("collaborate"), tmp_path / f"dev{suffix}")
-    assert f"; dev{suffix} in it is an event file" in refused(tmp_path)
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    assert "no such file" in refused(tmp_path / "none.json")
+    (tmp_path / "folder.json").mkdir()
+    assert "is a folder, expected an event file" in refused(tmp_path / "folder.json")
     (tmp_path / "file").touch()
     assert "cannot be read: Not a directory" in refused(tmp_path / "file" / "x.json")
 
@@ -134,17 +123,13 @@ VALUES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("scene", "arena", "x"), [6.0], "scene.arena.x: Expected 'array' of length 2, got 1"),
     (("truth", "strengths", "red agent"), "strong",
      "truth.strengths['red agent']: Expected 'float | null'"),
-    (("truth",), [], "truth: Expected 'object | null', got 'array'"),
     (("truth", "goals"), {}, "truth.goals has no red agent and no green agent"),
     (("scene", "resets_velocity"), 1, "scene.resets_velocity: Expected 'bool', got 'int'"),
-    (("judgments",), 3, "judgments: Expected 'object | null', got 'int'"),
-    (("id",), 7, "id is 7, expected printable text"),
 ]  # fmt: skip
 NAMES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("scene", "turning"), "left", "unknown turning 'left'; allowed: 'both', 'ccw'"),
     (("trajectories", "blue ball"), [], "unknown field of trajectories 'blue ball'"),
     (("turnin",), "cw", "unknown field of an event 'turnin'"),
-    (("scene", "turnin"), "cw", "of scene 'turnin'; did you mean 'turning'"),
     (("scene", "radius", "turnin"), "cw", "unknown field of scene.radius 'turnin'"),
 ]
 

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import phase_ppl as ppl
-from phase_ppl import event_dataset, event_from_dataset
+from phase_ppl import event_dataset
 from phase_ppl.data import load
 from phase_ppl.data.events_json import event_from_record, event_record, to_text
 from phase_ppl.data.load import bundled_events, load_event, load_events, save_event, save_events
@@ -84,7 +83,6 @@ events = st.builds(
 @given(events)
 def test_writing_and_reading_changes_nothing(event: Event) -> None:
     assert_same(event_from_record(json.loads(to_text(event_record(event)))), event)
-    assert_same(event_from_dataset(event_dataset(event)), event)
 
 
 def various() -> list[Event]:
@@ -93,11 +91,8 @@ def various() -> list[Event]:
     return [make_event(5, "b"), plain, make_event(2, "a, Δ"), make_event(20, "c")]
 
 
-@pytest.mark.parametrize("name", ["all.json", "all.nc"])
-def test_events_of_one_file_come_back_in_order_each_with_its_rules(
-    tmp_path: Path, name: str
-) -> None:
-    path = tmp_path / name
+def test_events_of_one_file_come_back_in_order_each_with_its_rules(tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
     first, *others = various()
     # who reads one event of many reads it by another way
     steered = dataclasses.replace(
@@ -111,10 +106,8 @@ def test_events_of_one_file_come_back_in_order_each_with_its_rules(
     assert load_event(path, video="b").scene.resets_velocity
     with pytest.raises(InvalidSettingError, match=r"holds 4 videos; name one of them: 'plain', "):
         load_event(path)
-    with pytest.raises(UnknownNameError, match=rf"{name}: unknown video 'plane'; .* 'plain'"):
+    with pytest.raises(UnknownNameError, match=r"all.json: unknown video 'plane'; .* 'plain'"):
         load_event(path, video="plane")
-    with pytest.raises(UnknownNameError, match=rf"{name}: unknown video ''"):
-        load_event(path, video="")
     assert load_events(path, turning="cw")[1].scene.turning == "cw"
     assert load_event(path, "b", turning="ccw").scene.turning == "ccw"
     with pytest.raises(UnknownNameError, match="unknown turning 'left'"):
@@ -126,20 +119,17 @@ def test_events_of_one_file_come_back_in_order_each_with_its_rules(
     assert [len(event.scene.walls) for event in load_events(path)] == [0, 0]
 
 
-def test_xarray_reads_the_files_by_itself(tmp_path: Path) -> None:
-    save_event(make_event(), tmp_path / "one.nc")
-    with xr.open_dataset(tmp_path / "one.nc") as one:
-        assert one["trajectory"].dims == ("time", "entity", "coord")
-        assert one["time"].values.tolist() == [0, 1 / 12, 2 / 12, 3 / 12]
-        assert_same(event_from_dataset(one), make_event())
-    save_events(various(), tmp_path / "all.nc")
-    with xr.open_dataset(tmp_path / "all.nc") as many:
-        assert many["n_frames"].values.tolist() == [5, 9, 2, 20]
-        assert many["n_walls"].values.tolist() == [2, 0, 2, 2]
-        assert many["goal_red"].sel(event="c").item() == "Get blue item to red lm"
-        assert many["goal_red"].sel(event="plain").item() == ""
-        assert many["trajectory"].sizes["time"] == 36
-        assert "resets_velocity" not in many  # of which none has it
+def test_a_dataset_has_the_trajectory_by_names_and_seconds() -> None:
+    event = make_event(n_frames=13)
+    dataset = event_dataset(event)
+    x = dataset["trajectory"].sel(entity="blue item", coord="x", time=1.0)
+    assert x.item() == event.observation.trajectory[12, 2, 0]
+    assert dataset["radius"].sel(entity="green agent").item() == 1.2
+    assert dataset.attrs["event"] == "example"
+    assert json.loads(dataset.attrs["truth"])["goals"]["green agent"] == "Get blue item to green lm"
+    # it does not share the arrays of the event
+    dataset["trajectory"][0, 0, 0] = 9.0
+    assert event.observation.trajectory[0, 0, 0] == 8.0
 
 
 def handwritten() -> dict:
@@ -169,8 +159,7 @@ def test_the_shortest_file_is_the_original_world_without_inner_walls() -> None:
     assert event.truth == Truth(*goals.values())
 
 
-@pytest.mark.parametrize("name", ["one.json", "one.nc"])
-def test_what_no_file_can_say_is_not_written(tmp_path: Path, name: str) -> None:
+def test_what_no_file_can_say_is_not_written(tmp_path: Path) -> None:
     odd: list[tuple[dict[str, Any], str]] = [
         *(
             ({"judgments": {"odd": value}}, "cannot be written as JSON")
@@ -179,9 +168,9 @@ def test_what_no_file_can_say_is_not_written(tmp_path: Path, name: str) -> None:
         *(({"id": id}, "id is .*, expected printable text") for id in ("", " ", "a\nb", "\ud800")),
     ]
     for changes, said in odd:
-        with pytest.raises(InvalidEventError, match=f"{name}: {said}"):
-            save_event(dataclasses.replace(make_event(), **changes), tmp_path / name)
-    with pytest.raises(OutputError, match=r"one\.txt: expected a name in .json or .nc"):
+        with pytest.raises(InvalidEventError, match=f"one.json: {said}"):
+            save_event(dataclasses.replace(make_event(), **changes), tmp_path / "one.json")
+    with pytest.raises(OutputError, match=r"one\.txt: expected a name in .json"):
         save_event(make_event(), tmp_path / "one.txt")
     assert list(tmp_path.iterdir()) == []
 

@@ -12,38 +12,36 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.data.authors.videos import file_name, place_in_id
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
-from phase_ppl.world.event import Truth
 from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, make_event
 from tests.world.examples import DEV, needs_dev
 
-BLUE, PINK = "Get blue item to red lm", "Get pink item to green lm"
 CHECKS = {
-    "friendly": Truth(BLUE, BLUE),
-    "neutral": Truth(BLUE, PINK),
-    "adversarial": Truth("get to green agent", "get away from red agent"),
+    "friendly": "['LMO', 0, 2, 1]_['LMO', 0, 2, 1]",
+    "neutral": "['LMO', 0, 2, 1]_['LMO', 1, 1, 1]",
+    "adversarial": "['TE', 0, 1, 1]_['TE', 0, 1, -1]",
 }
+"""Relation -> goals, as names of films have them."""
+
 ID = "D082020_18175{:02}_E8"
 """Of made-up videos, with stamps of 7 digits; ``ID_8`` has 8."""
 
 ID_8 = "D082020_181759{:02}_E8.3"
 
 
-def film(id: str, truth: Truth | None = None) -> str:
-    place = place_in_id(id)
-    assert place is not None
-    return file_name(id, place, truth or CHECKS["neutral"], 40)
+def film(id: str, goals: str = CHECKS["neutral"]) -> str:
+    stamp, place = id.rsplit("_", 1)
+    return f"{stamp}_0_F8_{place}_G{goals}_ST3_0_L39.mp4"
 
 
 def lines_of(answers: Mapping[str, str], wrong: str = "", american: bool = False) -> list[str]:
     """Return a file's lines: about the person, the checks, and answers to twenty videos."""
     checks = {
-        film(ID.format(90 + i), truth).replace(".mp4", "_mm.mp4"): (
+        film(ID.format(90 + i), goals).replace(".mp4", "_mm.mp4"): (
             "neutral" if right == wrong else right
         )
-        for i, (right, truth) in enumerate(CHECKS.items())
+        for i, (right, goals) in enumerate(CHECKS.items())
     }
     others = (ID_8.format(n) for n in range(10, 40))
     unseen = {film(id): "friendly" for id in itertools.islice(others, 20 - len(answers))}

@@ -98,11 +98,10 @@ def test_what_it_does_is_said_in_words_and_in_literals_of_all_worlds() -> None:
 
 def test_files_keep_predicates_with_the_event(tmp_path: Path) -> None:
     event = simulate("toys together", frames=3)
-    for name in ("event.json", "event.nc"):
-        ppl.save_event(event, tmp_path / name)
-        back = ppl.load_event(tmp_path / name)
-        assert (back.scene.world, back.truth) == (NURSERY, event.truth)
-        np.testing.assert_allclose(back.observation.trajectory, event.observation.trajectory)
+    ppl.save_event(event, tmp_path / "event.json")
+    back = ppl.load_event(tmp_path / "event.json")
+    assert (back.scene.world, back.truth) == (NURSERY, event.truth)
+    np.testing.assert_allclose(back.observation.trajectory, event.observation.trajectory)
 
 
 def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> None:
@@ -124,13 +123,9 @@ def test_simple_proposes_it() -> None:
     assert NURSERY.goals[found] == "ball in the playroom"
 
 
-def test_random_goals_and_rewards_know_it() -> None:
+def test_random_goals_know_it() -> None:
     drawn = {ppl.roles.draw(NURSERY, seed).effective_goals[0] for seed in range(120)}
     assert drawn >= {NURSERY.goal_index(own.name) for own in NURSERY.predicates}
-    game = ppl.env(NURSERY, SCENE, goals={"red agent": "not toys together"}, steps=3)
-    game.reset(seed=0)
-    *_, infos = game.step({"red agent": 0})
-    assert infos["red agent"] == {"goal": "not toys together", "reached": True}
 
 
 def test_what_knows_no_predicates_of_ones_own_says_so() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from jax import random
 from jax.experimental.compilation_cache import compilation_cache
 
-from phase_ppl.models import compiled, density
+from phase_ppl.models import compiled
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.program import EventProgram
@@ -113,13 +112,6 @@ def test_a_damaged_file_is_reported_and_made_anew(first: Any, tmp_path: Path) ->
         assert called(Compiled(drawn, "a draw")) == first  # without a warning
 
 
-def test_the_files_not_used_for_longest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "MOST", 3)
-    for number in range(5):
-        compiled.write(f"{number}", b"")
-    assert {file.stem for file in tmp_path.iterdir()} == {"2", "3", "4"}
-
-
 def test_a_folder_that_cannot_be_written_changes_nothing(
     first: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,18 +119,6 @@ def test_a_folder_that_cannot_be_written_changes_nothing(
     for nowhere in (tmp_path / "file" / "folder", None):
         monkeypatch.setattr(compiled, "folder", lambda nowhere=nowhere: nowhere)
         assert called(Compiled(drawn, "a draw")) == first
-
-
-def test_what_jax_keeps_itself_is_left_to_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.undo()
-    assert compiled.folder() == compiled.cache_folder()
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    try:
-        assert compiled.folder() is None
-    finally:
-        jax.config.update("jax_compilation_cache_dir", None)
 
 
 def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
@@ -150,14 +130,3 @@ def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
 
 
 # --- small programs -------------------------------------------------------------------------------
-
-
-def test_options_that_this_version_does_not_know_are_left_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    known, asked = dict(density._WANTED), density._known_options.__wrapped__
-    monkeypatch.setattr(density, "_known_options", functools.cache(asked))
-    monkeypatch.setattr(density, "_WANTED", {"xla_no_such_option": True, **known})
-    assert density.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
-    assert density._known_options()
-    assert density._known_options().items() <= known.items()

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
 from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
-from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.models import sites
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
-from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.models.program import MAX_SEED, EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import ALPHAS
 from tests.inference.toy import (
     N_FRAMES,
@@ -30,9 +23,7 @@ from tests.inference.toy import (
     never_called,
     table_errors,
     table_program,
-    walking_event,
 )
-from tests.models.test_checks import also
 
 
 @pytest.mark.parametrize(
@@ -50,28 +41,6 @@ from tests.models.test_checks import also
 def test_what_makes_no_model_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises((InvalidSettingError, UnknownNameError), match=said):
         Model(**options)
-
-
-def test_defaults() -> None:
-    simulator = Model().build_simulator()
-    assert isinstance(simulator, JointSimulator)
-    assert simulator.planner == PlannerConfig.fast()
-    assert Model().error_likelihood == RadialLikelihood()
-    assert Model(prior="uniform") == Model()
-    assert Model(planner="paper").build_simulator().planner == PlannerConfig()
-
-
-def test_kernels_weigh_a_table_by_its_nats() -> None:
-    table = Model(likelihood=StepwiseLikelihood()).error_likelihood
-    assert table.log_prob(2.5) == -2.5
-    assert table.max_total_error(-4.0, 10) == 4.0
-
-
-def test_prior_may_have_sites_of_its_own() -> None:
-    own = dist.Normal(jnp.zeros(3)).to_event(1)
-    model = Model(prior=also(lambda: numpyro.sample("also", own)))
-    assert model.sites["also"] == (3,)
-    assert set(sites.HYPOTHESIS_SITES) < set(model.sites)
 
 
 def test_fingerprint_tells_models_apart() -> None:
@@ -156,13 +125,3 @@ def test_seeds_are_new_each_time_or_follow_what_the_simulator_is_told() -> None:
     helping = ALPHAS.index((1, 0))
     ways = [seed_of(program, alpha=helping, goal_red=goal) for goal in (0, 7)]
     assert ways == [seed_of(program, goal_red=3)] * 2
-
-
-def test_salt_stands_for_scene_and_observation_only() -> None:
-    event, again = walking_event(), walking_event()
-    salt = event_salt(event.scene, event.observation)
-    assert salt == event_salt(again.scene, again.observation)
-    moved = np.array(event.observation.trajectory)
-    moved[3, 2, 0] += 1e-9
-    assert salt != event_salt(event.scene, Observation(moved))
-    assert salt != event_salt(dataclasses.replace(event.scene, turning="cw"), event.observation)

@@ -9,8 +9,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
 from jax import random
 
@@ -20,7 +18,7 @@ from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import OneOf
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
+from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import (
     ALPHAS,
     RELATION_TABLE,
@@ -122,27 +120,6 @@ def test_prior_of_effective_goals_is_the_sum_over_what_leads_to_them(name: str) 
     np.testing.assert_allclose(found, expected.ravel(), rtol=1e-3, atol=1e-12)
 
 
-def test_uniform_prior_has_the_papers_density() -> None:
-    found = density("uniform", [(0, 0, 0), (0, 0, 3)], STRENGTHS)
-    assert found.tolist() == pytest.approx([1 / 34**2 / 3 / 450**2, 1 / 34**2 / 6 / 450**2], 1e-4)
-
-
-def test_density_is_zero_outside_the_support() -> None:
-    own = GOALS.index("get to red agent"), GOALS.index("get away from green agent")
-    codes = [(own[0], 0, 0), (0, own[1], 0), (36, 0, 0), (0, -1, 0), (0, 0, len(ALPHAS))]
-    strengths = [(149.0, 300.0), (300.0, 601.0), (np.nan, 300.0)]
-    assert (density("uniform", codes, STRENGTHS) == 0).all()
-    assert (density("uniform", REFERENCE, strengths) == 0).all()
-
-
-def test_density_of_several_numbers_is_a_product_and_zero_where_one_cannot_be() -> None:
-    def pair() -> None:  # of a law that does not look at its support
-        numpyro.sample("pair", dist.Uniform(0.0, 4.0, validate_args=False).expand([2]))
-
-    found = [log_density(pair, {"pair": jnp.array([1.0, last])}) for last in (3.0, 5.0)]
-    assert found == pytest.approx([-2 * np.log(4), -np.inf])
-
-
 def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() -> None:
     both = [density(name, CODES, STRENGTHS) for name in ("relation_first", "uniform")]
     total = np.bincount(RELATION, both[0], len(RELATIONS)) / both[0].sum()
@@ -150,31 +127,6 @@ def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() ->
     for relation in range(len(RELATIONS)):
         one, other = (mass[relation == RELATION] for mass in both)
         np.testing.assert_allclose(one / one.sum(), other / other.sum(), rtol=1e-3, atol=1e-12)
-
-
-def test_relations_can_have_other_probabilities() -> None:
-    def mostly_friends() -> None:
-        priors.relation_first(friendly=0.7, neutral=0.1, adversarial=0.2)
-
-    z = drawn(mostly_friends, 4000)
-    stated = zip(z["goal_red"], z["goal_green"], z["alpha"], strict=True)
-    pairs = [effective_goals(int(r), int(g), ALPHAS[a]) for r, g, a in stated]
-    found = np.bincount(RELATION_TABLE[tuple(np.array(pairs).T)], minlength=3) / len(pairs)
-    expected = {"friendly": 0.7, "neutral": 0.1, "adversarial": 0.2}
-    np.testing.assert_allclose(found, [expected[r] for r in RELATIONS], atol=0.04)
-
-
-def test_relations_need_probabilities() -> None:
-    for given in ((0.5, 0.5, 0.5), (1.5, -0.5, 0.0)):
-        with pytest.raises(InvalidSettingError, match="sum 1"):
-            Model(prior=lambda given=given: priors.relation_first(*given))
-
-
-def test_social_goals_are_rare_under_sparse_social_and_else_absent() -> None:
-    social = (draws("sparse_social")["alpha"] != 0).mean()
-    assert social == pytest.approx(priors.SPARSE_SOCIAL, abs=0.01)
-    mass = density("no_social_goals", CODES, STRENGTHS)
-    assert mass[CODES[:, 2] != ALPHAS.index((0, 0))].sum() == 0
 
 
 def test_correlated_strengths_are_correlated_and_each_uniform() -> None:
@@ -186,12 +138,6 @@ def test_correlated_strengths_are_correlated_and_each_uniform() -> None:
         np.testing.assert_allclose(found, 1 / 9, atol=0.015)
     corners = np.array(list(itertools.product(STRENGTH_RANGE, repeat=2)))
     assert np.isfinite(density("correlated_strengths", REFERENCE, corners)).all()
-
-
-def test_strength_levels_allow_the_four_levels_only() -> None:
-    assert set(draws("strength_levels")["strength_red"].tolist()) == set(STRENGTH_LEVELS)
-    found = density("strength_levels", REFERENCE, [(300.0, 301.0), (151.0, 600.0)])
-    assert (found == 0).all()
 
 
 def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
@@ -228,12 +174,6 @@ def test_draws_are_the_values_in_their_proportions_and_nothing_else_has_mass() -
     support = OneOf(VALUES, [0.5, 0.5, 0.0]).support
     np.testing.assert_array_equal(support(jnp.array([150.0, 620.5, 7.0])), [True, False, False])
     assert support.is_discrete
-
-
-def test_mass_of_the_distinct_values_is_one() -> None:
-    values = [3.0, 1000.0, 2.0, 2.0]
-    one = OneOf(values, logits=np.random.default_rng(0).normal(0, 3, 4))
-    assert float(np.exp(one.log_prob(np.unique(values))).sum()) == pytest.approx(1, rel=1e-4)
 
 
 def test_values_may_depend_on_other_sites_inside_compiled_code() -> None:

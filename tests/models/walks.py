@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.data.events_netcdf import checksum
+from phase_ppl.data.events_json import checksum
 from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
-from phase_ppl.data.generation.plan import Plan
+from phase_ppl.data.generation.making import Plan
 from phase_ppl.data.load import save_events
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.files import write_json

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.render.explain import doing
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.geometry import penetration
-from phase_ppl.world.names import STOP, Literal, PredicateKind
 from tests.agents.scenes import FULL_WALL_UP, scene
 
 QUICK = ppl.PlannerConfig(simulations=60, particles=20)
@@ -55,19 +53,6 @@ def test_it_is_said_in_sentences_and_shown_in_a_film(event: ppl.Event, tmp_path:
     brief = ppl.simulate(event.scene, CARRY, frames=3, planner=QUICK)
     ppl.explain(brief, tmp_path / "why.mp4")
     assert (tmp_path / "why.mp4").stat().st_size > 5000
-
-
-def test_every_kind_of_subgoal_has_words() -> None:
-    pairs = [(PredicateKind.ON, subject, 2) for subject in range(4)]
-    pairs += [(PredicateKind.CLOSE, subject, 5) for subject in range(4)]
-    pairs += [
-        (kind, 0, item) for kind in (PredicateKind.TOUCH, PredicateKind.ATTACH) for item in (2, 3)
-    ]
-    said = {doing(Literal(*pair, way), 0, scene()) for pair in pairs for way in (True, False)}
-    assert len(said) == 24
-    assert doing(STOP, 0, scene()) == "does nothing"
-    assert "keeps the green agent away from the red landmark" in said
-    assert "brings the blue item to the left door" in said
 
 
 def test_thoughts_that_are_not_known_are_not_made_up(event: ppl.Event) -> None:

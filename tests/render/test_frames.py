@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from phase_ppl.agents import vision
 from phase_ppl.agents.world_model import Layout
 from phase_ppl.physics import compiled
-from phase_ppl.render import draw_frame, image, strip, video
-from phase_ppl.render.frames import Painter, field_of_view
+from phase_ppl.render import draw_frame
+from phase_ppl.render.frames import field_of_view
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import State
@@ -23,7 +20,7 @@ from phase_ppl.world.geometry import heading
 from phase_ppl.world.names import BLUE_ITEM, GREEN, PINK_ITEM, RED
 from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
-from tests.world.examples import make_event, make_scene, walls
+from tests.world.examples import make_scene, walls
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 POSES = np.array([[13.5, 16.0, 0.0], [19.0, 16.0, 0.7], [13.0, 8.0, 0.0], [19.0, 8.0, 0.0]])
@@ -81,18 +78,8 @@ def test_walls_are_black_and_five_pixels_wide() -> None:
     assert colour_at(picture, 11, 12) == WHITE
 
 
-@pytest.mark.parametrize("size", [0.8, 1.6])
-def test_bodies_cover_the_area_they_have(size: float) -> None:
-    picture = frame(radius=[size] * 4)
-    disc = math.pi * (20 * size) ** 2
-    assert covered(picture, ENTITY_COLOURS[PINK_ITEM]) == pytest.approx(disc, rel=0.08)
-    eyes = 2 * math.pi * (0.14 * 20 * size) ** 2
-    agent = 4 * (20 * size) ** 2 - eyes
-    assert covered(picture, ENTITY_COLOURS[GREEN]) == pytest.approx(agent, rel=0.14)
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, -2.0])
-def test_two_eyes_look_out_of_the_short_front(angle: float) -> None:
+def test_two_eyes_look_out_of_the_short_front() -> None:
+    angle = 0.5
     poses = POSES.copy()
     poses[GREEN, 2] = angle
     picture = frame(poses, radius=[0.8, 1.6, 1, 1])
@@ -122,22 +109,6 @@ def test_what_is_out_of_the_picture_is_not_drawn_and_what_is_half_out_in_part() 
     for wrong in (POSES[:3], [[math.inf] * 3] * 4, "poses", None):
         with pytest.raises(InvalidEventError, match="poses"):
             frame(wrong)
-
-
-def test_an_arena_of_another_size_fills_the_same_square() -> None:
-    scene = make_scene(
-        arena=(0, 10, 0, 10),
-        landmark_centres=[[1, 9], [9, 9], [9, 1], [1, 1]],
-        landmark_half_width=1,
-        start=[[2, 5, 0], [4, 5, 0], [6, 5, 0], [8, 5, 0]],
-        radius=[0.5] * 4,
-        walls=[],
-    )
-    assert Painter(scene).pixel([[0, 0], [10, 10]]) == pytest.approx(
-        np.array([[120.5, 440.5], [520.5, 40.5]])
-    )
-    picture = draw_frame(scene, scene.start)
-    assert tuple(picture[240, 200]) == ENTITY_COLOURS[RED]
 
 
 # --- fields of view are drawn by the simulator's rule ---------------------------------------------
@@ -180,7 +151,7 @@ ROOMS = [walls(), walls(up=10), walls(up=7.5, left=10, down=5), walls(left=7.5, 
 def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see() -> None:
     rng = np.random.default_rng(0)
     far, different, in_view = 0, 0, 0
-    for room in ROOMS * 10:
+    for room in ROOMS * 5:
         place = rng.uniform((7.5, 3.5, -4), (24.5, 20.5, 4), (4, 3))
         scene = make_scene(walls=room, start=place, radius=rng.uniform(0.5, 2, 4))
         agent = int(rng.integers(2))
@@ -190,8 +161,8 @@ def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see() -> None:
         far += int(clear.sum())
         different += int((inside(corners, points) != visible)[clear].sum())
         in_view += int(visible.sum())
-    assert far > 15000
-    assert in_view > 1200
+    assert far > 7500
+    assert in_view > 600
     assert different <= 0.0005 * far
 
 
@@ -240,23 +211,3 @@ def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:
     outside = np.ones((480, 640), bool)
     outside[38:443, 118:523] = False
     assert (tinted[outside] == plain[outside]).all()
-
-
-def test_pictures_strips_and_videos_show_them_where_told_to(tmp_path: Path) -> None:
-    event = make_event(n_frames=2)
-    poses = event.observation.trajectory
-    for name, write in {"image": lambda *given, **of: image(given[0], 0, given[1], **of),
-                        "strip": functools.partial(strip, n=2)}.items():  # fmt: skip
-        plain, tinted = tmp_path / f"{name}.png", tmp_path / f"{name}-tinted.png"
-        write(event, plain)
-        write(event, tinted, fields_of_view=True)
-        assert plain.read_bytes() != tinted.read_bytes()
-    for name, seen in (("image", False), ("image-tinted", True)):
-        shown = np.asarray(Image.open(tmp_path / f"{name}.png"))
-        assert np.array_equal(shown, draw_frame(event.scene, poses[0], fields_of_view=seen))
-    video(event, tmp_path / "v.gif", fields_of_view=True, compare=poses, frames_per_step=1)
-    with Image.open(tmp_path / "v.gif") as picture:
-        both = np.asarray(picture.convert("RGB")).astype(int)
-    alone = draw_frame(event.scene, poses[0], fields_of_view=True)[60:, 80:560]
-    assert np.abs(both[60:, :480] - alone).mean() < 0.1
-    assert np.abs(both[60:, 480:] - alone).mean() < 0.1

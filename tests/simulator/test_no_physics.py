@@ -66,12 +66,6 @@ def test_one_that_flees_is_not_caught_by_one_that_is_as_fast() -> None:
     assert np.linalg.norm(caught[-1, 0, :2] - caught[-1, 1, :2]) < 2.0
 
 
-def test_the_same_seed_gives_the_same_tracks() -> None:
-    where = scene(walls=[FULL_WALL_UP, HALF_WALL_LEFT], blue=(14.0, 4.0))
-    first, again = (path(where, "Get blue item to blue lm", "get to red agent", 30) for _ in "12")
-    assert np.array_equal(first, again)
-
-
 # --- agents that know the true state -----------------------------------------------------------
 
 

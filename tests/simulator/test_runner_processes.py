@@ -18,7 +18,6 @@ import pytest
 
 import phase_ppl
 from phase_ppl.simulator.contract import Cancelled
-from phase_ppl.simulator.processes import mapped
 from tests.simulator import toys
 from tests.simulator.test_runner import assert_same
 from tests.simulator.toys import GO, HELP, WEAK, runner, wait_until
@@ -234,7 +233,3 @@ def test_simulating_imports_none_of_the_inference_libraries() -> None:
     assert "phase_ppl.simulator.joint" in all_of_it
     assert not runner_alone & {*HEAVY, "numba"}
     assert not all_of_it & HEAVY
-
-
-def test_tasks_that_cannot_fail_are_spread_over_workers_and_answered_in_order() -> None:
-    assert list(mapped(pow, [(2, 3), (3, 2)], workers=2, unit="power")) == [8, 9]

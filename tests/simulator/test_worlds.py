@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 import phase_ppl as ppl
-from phase_ppl.data.events_netcdf import event_dataset
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -136,20 +135,14 @@ def test_three_agents_can_hold_one_item_and_pull_it_together() -> None:
 
 def test_files_hold_the_world(solo: ppl.Event, trio: ppl.Event, tmp_path: Path) -> None:
     short = ppl.simulate(YARD, trio.truth, frames=3, planner=QUICK)
-    for suffix in ("json", "nc"):
-        path = tmp_path / f"one.{suffix}"
-        ppl.save_event(solo, path)
-        several = tmp_path / f"several.{suffix}"
-        ppl.save_events([trio, short], several)
-        read = [ppl.load_event(path), *ppl.load_events(several)]
-        for event, back in zip((solo, trio, short), read, strict=True):
-            assert back.scene.world == event.scene.world
-            assert back.truth == event.truth
-            assert np.array_equal(back.observation.trajectory, event.observation.trajectory)
-            assert np.array_equal(back.scene.half_widths, event.scene.half_widths)
-    assert "world" not in event_dataset(ppl.load_event("collaborate"))  # of PHASE, as ever
-    with pytest.raises(PhasePPLError, match="is of the world trio, the first one of solo"):
-        ppl.save_events([solo, trio], tmp_path / "both.nc")
+    ppl.save_event(solo, tmp_path / "one.json")
+    ppl.save_events([trio, short], tmp_path / "several.json")
+    read = [ppl.load_event(tmp_path / "one.json"), *ppl.load_events(tmp_path / "several.json")]
+    for event, back in zip((solo, trio, short), read, strict=True):
+        assert back.scene.world == event.scene.world
+        assert back.truth == event.truth
+        assert np.array_equal(back.observation.trajectory, event.observation.trajectory)
+        assert np.array_equal(back.scene.half_widths, event.scene.half_widths)
     ppl.save_events([solo, trio], tmp_path / "both.json")
     assert [e.scene.world.name for e in ppl.load_events(tmp_path / "both.json")] == ["solo", "trio"]
 
@@ -173,30 +166,17 @@ def test_pictures_and_words_are_of_the_world(trio: ppl.Event, tmp_path: Path) ->
 
 WRONG: dict[str, tuple[Any, str]] = {
     "no goal": ({"goals": {"red agent": "ball to home"}}, "unknown goal 'ball to home'"),
-    "somebody without": ({"goals": {"red agent": "blue ball to home"}},
-     "the green agent has no goal, and helps or hinders nobody"),
-    "a goal of nobody": ({"goals": {"blue ball": "blue ball to home"}},
-     "unknown agent 'blue ball'"),
     "a goal of itself": ({"goals": {"red agent": "touch red agent"}},
      "the goal 'get to red agent' of the red agent names the red agent itself"),
-    "a stranger": ({"relation": {("red agent", "blue ball"): "help"}}, "unknown agent 'blue ball'"),
-    "no such relation": ({"relation": {("red agent", "green agent"): "love"}},
-     "unknown relation 'love'; allowed: 'help', 'hinder'"),
-    "itself": ({"relation": {("red agent", "red agent"): "help"}},
-     "the red agent cannot help itself"),
     "two at once": (
      {"relation": {("red agent", "green agent"): "help", ("red agent", "purple agent"): "help"}},
      "the red agent can help or hinder one other only"),
     "a chain": (
      {"relation": {("red agent", "green agent"): "help", ("green agent", "purple agent"): "help"}},
      "the red agent cannot help or hinder the green agent, who pursues no goal of its own"),
-    "no pair": ({"relation": {"red agent": "help"}}, "relation of 'red agent', expected {("),
     "no force": ({"strength": {"red agent": -1}}, "strength of the red agent=-1 is no positive"),
-    "force of nobody": ({"strength": {"ball": 1}}, "unknown agent 'ball'"),
-    "no roles": ({"goals": None}, "expected a phase_ppl.Hypothesis, or goals="),
     "the papers": ({"goals": None, "hypothesis": ppl.Hypothesis(0, 1)},
      "the hypothesis is of the world PHASE, the scene of trio: give goals="),
-    "both": ({"hypothesis": ppl.Hypothesis(0, 1)}, "both a hypothesis and goals are given"),
 }  # fmt: skip
 
 
@@ -207,10 +187,3 @@ def test_roles_that_cannot_be_get_one_clear_line() -> None:
         with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
             ppl.simulate(YARD, **{"goals": goals, **changes})
         assert "\n" not in str(raised.value), case
-
-
-def test_what_knows_no_other_world_says_so(trio: ppl.Event) -> None:
-    with pytest.raises(PhasePPLError, match="'socialgnn' knows the world PHASE only, not 'trio'"):
-        ppl.evaluate([trio], "socialgnn")
-    with pytest.raises(AttributeError, match="alpha needs a world of exactly two agents; 'trio'"):
-        _ = trio.truth.alpha

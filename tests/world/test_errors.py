@@ -9,29 +9,15 @@ import numpy as np
 import pytest
 
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     OutputError,
-    PhasePPLError,
-    SimulationError,
     UnknownNameError,
     check_name,
     nonnegative_number,
     positive_number,
-    shown,
     unknown_name,
 )
 from phase_ppl.world.files import atomic_output, locked
-
-
-def test_errors_are_caught_by_code_that_knows_only_pythons_own() -> None:
-    of_values = InvalidEventError, InvalidSettingError, UnknownNameError
-    assert all(issubclass(error, ValueError) for error in of_values)
-    assert issubclass(OutputError, OSError)
-    assert issubclass(SimulationError, RuntimeError)
-    for error in (*of_values, OutputError, SimulationError):
-        assert issubclass(error, PhasePPLError)
-
 
 MANY = [f"D0819_{n}_E{n}" for n in range(30)]
 
@@ -99,16 +85,6 @@ def test_a_lock_is_for_one_at_a_time_and_leaves_nothing(tmp_path: Path) -> None:
         with locked(target), locked(None):
             pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_value_is_shown_in_one_line_whatever_it_is() -> None:
-    class Unshowable:
-        def __repr__(self) -> str:
-            raise RuntimeError
-
-    assert shown(10**5000) == "<int>"
-    assert shown(Unshowable()) == "<Unshowable>"
-    assert "\n" not in shown(np.zeros((4, 3)))
 
 
 def test_numbers_of_all_kinds_become_floats_and_nothing_else_does() -> None:

@@ -15,7 +15,6 @@ from phase_ppl.world.geometry import (
     agent_outline,
     centre_of_mass,
     heading,
-    is_on,
     overlaps,
     penetration,
     rotation,
@@ -140,10 +139,3 @@ def test_touch_agrees_with_sampled_points(pair: Pair) -> None:
         assert meets
     if meets:  # a grid misses thin overlaps, not those of shapes a little larger
         assert found_in_both(*pair, grown=1.1)
-
-
-def test_on_a_landmark_means_centre_inside_its_square() -> None:
-    centre = np.array([8.5, 19.5])
-    assert is_on(np.array([11.0, 17.0]), centre, 2.5)
-    assert not is_on(np.array([11.01, 19.5]), centre, 2.5)
-    assert not is_on(np.array([8.5, 16.99]), centre, 2.5)

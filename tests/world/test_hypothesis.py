@@ -62,15 +62,6 @@ def test_effective_goals_can_be_stated_and_stay_as_they_are(hypothesis: Hypothes
         assert hypothesis.relation == ("neutral" if part else "friendly")
 
 
-def test_goals_may_be_given_as_strings() -> None:
-    hypothesis = Hypothesis("Get blue item to red lm", "get to red agent", [1, 0])  # type: ignore[arg-type]
-    assert (GOALS[hypothesis.goal_red], hypothesis.goal_green) == ("Get blue item to red lm", 35)
-    assert hypothesis.alpha == (1, 0)
-    assert str(hypothesis) == (
-        "red: get to green agent (450 N), green: get to red agent (450 N), friendly"
-    )
-
-
 def test_what_is_no_hypothesis_is_refused() -> None:
     for goals, agent in (
         (("get to red agent", "Get blue item to red lm"), "red agent"),

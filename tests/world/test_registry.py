@@ -12,8 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.data.generation.families import FAMILIES
 from phase_ppl.evaluation.registry import MODELS
 from phase_ppl.inference.registry import KERNELS
-from phase_ppl.models.priors import PRIORS
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidSettingError
 
 
 @pytest.fixture
@@ -75,13 +74,6 @@ def test_those_of_other_packages_are_loaded_and_broken_ones_do_not_matter(
         with pytest.warns(UserWarning, match="'broken' cannot be loaded: no module"):
             assert "theirs" in available()
         assert "theirs" in available()  # loaded once, without another warning
-
-
-def test_an_unknown_name_gets_close_ones() -> None:
-    with pytest.raises(UnknownNameError, match="did you mean 'local_mh'"):
-        KERNELS["local_hm"]
-    with pytest.raises(UnknownNameError, match="did you mean 'uniform'"):
-        PRIORS["unifrom"]
 
 
 def test_what_is_ours_is_there_sorted_and_says_what_it_is() -> None:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.rooms import DOWN, LEFT, RIGHT, ROOMS_OF_RAY, UNREACHABLE, Rooms
 from phase_ppl.world.scene import ARENA
 from tests.world.examples import DIRECTIONS, walls
@@ -100,16 +99,3 @@ def test_routes_use_the_fewest_doors_and_are_the_same_both_ways(
         row = rooms.route_table[start, end].tolist()
         assert row[0] == (-1 if route is None else count)
         assert route is None or tuple(row[1 : 1 + len(route)]) == route
-
-
-def test_walls_that_cannot_be_are_refused_and_others_may_be_given_from_either_end() -> None:
-    for segment, message in (
-        ([[16, 13], [16, 22]], "does not run from the arena's centre"),  # detached from it
-        ([[16, 12], [20, 16]], "does not run from the arena's centre"),  # slanted
-        ([[15, 12], [6, 12]], "does not run from the arena's centre"),
-        ([[16, 12], [16, 23]], r"wall \[\[16.0, 12.0\], \[16.0, 23.0\]\] leaves"),
-    ):
-        with pytest.raises(InvalidEventError, match=message):
-            Rooms.from_walls(np.array([segment], float), ARENA, quadrants=True)
-    rooms = Rooms.from_walls(walls(left=5)[:, ::-1], ARENA, quadrants=True)
-    assert rooms.wall_length.tolist() == [0, 5, 0, 0]

@@ -106,22 +106,12 @@ def test_short_gaps_are_bridged_and_long_ones_stay() -> None:
     assert found.start[1].tolist()[:2] == [20.0, 12.0]
 
 
-def test_arrays_are_in_the_worlds_order() -> None:
-    poses = np.dstack([PLACES, np.full((len(TIME), 2), 0.3)])
-    found = ppl.Observation.from_tracks(poses, world=DUO, fps=FPS)
-    np.testing.assert_allclose(found.positions, EXPECTED.positions)
-    np.testing.assert_allclose(found.angles, 0.3)
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ({"names": None}, "expected one track for each of red agent, green agent; the tracks are ['1'"),
     ({"names": {"3": "red agent"}}, "unknown track '3'"),
     ({"fps": None}, "the tracks have no times: say fps="),
-    ({"angles": "no"}, "unknown angles 'no'"),
     ({"units": 0}, "units=0, expected a positive"),
     ({"names": ["red agent"]}, "names=['red agent'], expected names of tracks"),
-    ({"world": "PHASE"}, "world='PHASE', expected a phase_ppl.World"),
-    ({"least_sure": "high"}, "least_sure='high', expected a number"),
     ({"ahead": ("nose",)}, "ahead=('nose',), expected two parts"),
 ])  # fmt: skip
 def test_what_cannot_be_is_said(change: dict[str, Any], message: str) -> None:
@@ -131,15 +121,8 @@ def test_what_cannot_be_is_said(change: dict[str, Any], message: str) -> None:
         ppl.Observation.from_tracks(pd.DataFrame({"index": [1]}), **MADE)
 
 
-def test_the_origin_can_be_an_array() -> None:
-    found = ppl.Observation.from_tracks(wide(), **MADE, origin=np.array([1.0, 20.0]))
-    expected = EXPECTED.positions + np.array([1.0, 0.0])
-    np.testing.assert_allclose(found.positions, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize(("tracks", "message"), [
     (wide()[:0], "no row with a number as its frame or time"),
-    (wide().set_index(pd.Index([f"frame {k}" for k in range(49)])), "no row with a number"),
     (wide().assign(frame=[*range(48), 10**13]), "would take"),
     (pd.concat([wide(), wide()[["x1"]]], axis=1), "column 'x1' twice"),
     ([[[1, 2], [1]], [[1, 2], [2, 3]]], "ragged"),
@@ -149,8 +132,3 @@ def test_tables_that_cannot_be_read_are_refused(tracks: Any, message: str) -> No
     names = NAMES if isinstance(tracks, pd.DataFrame) else None
     with pytest.raises(PhasePPLError, match=message):
         ppl.Observation.from_tracks(tracks, **{**MADE, "names": names})
-
-
-def test_an_array_has_no_parts_that_tell_an_angle() -> None:
-    with pytest.raises(PhasePPLError, match="an array has no parts of bodies"):
-        ppl.Observation.from_tracks(PIXELS, **{**MADE, "names": None}, ahead=("tail", "nose"))

@@ -29,7 +29,7 @@ from phase_ppl.world.goals import (
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.worlds import SOLO, TRIO
 from tests.world.examples import check_refused
 
@@ -230,70 +230,37 @@ def test_paths_are_symmetric_and_cross_no_wall(
 PLACES = {"red agent": (3, 3), "green agent": (20, 3), "ball": (20, 20)}
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"agents": []}, "0 agents, expected 1 to 4"),
-    ({"agents": list("abcde")}, "5 agents, expected 1 to 4"),
     ({"items": list("abcdefg")}, "7 items, expected 0 to 6"),
-    ({"landmarks": {}}, "0 landmarks, expected 1 to 8"),
-    ({"agents": "red agent"}, "expected a list of names"),
-    ({"agents": ["a", "a b", "b a"]}, "'a_b_a' could mean two of them in questions"),
     ({"items": ["Red agent"]}, "are called 'red agent'"),
-    ({"items": [" "]}, "items has the name ' '"),
-    ({"items": ["way to go"]}, "without 'to' and 'away from'"),
-    ({"landmarks": {"home": (40, 4)}},
-     "landmark 'home' is at (40, 4), outside the arena x 0..36, y 0..24"),
     ({"landmarks": {"home": (4, math.nan)}}, "landmark 'home'[1] is nan"),
-    ({"landmarks": {"home": (4, 4, 7)}}, "half-width 7.0, expected one in (0, 6]"),
     ({"landmarks": {"home": (4, 4, 2, 2)}},
      "landmark 'home' is (4, 4, 2, 2), expected (x, y) or (x, y, half the side)"),
-    ({"landmarks": [(4, 4)]}, "landmarks=[(4, 4)], expected a mapping of names to (x, y)"),
-    ({"half_width": "wide"}, "has the half-width 'wide'"),
-    ({"colours": [(1, 2, 3)]},
-     "colours=[(1, 2, 3)], expected a mapping of names to (red, green, blue)"),
     ({"touchable": ["ball", "ball"]}, "touchable has 'ball' twice"),
-    ({"arena": (0, 0, 0, 24)}, "with sides of 4 to 60 units"),
     ({"arena": (0, 100, 0, 24)}, "with sides of 4 to 60 units"),
-    ({"arena": (0, 36, 0)}, "arena has shape (3,), expected (4,)"),
     ({"walls": [((12, 0), (12, 30))]},
      "wall [[12.0, 0.0], [12.0, 30.0]] leaves the arena x 0..36, y 0..24"),
-    ({"walls": [((12, 0), (14, 16))]}, "is slanted"),
     ({"walls": [((12, 3), (12, 3))]}, "has no length"),
-    ({"walls": [((x, 0), (x, 9)) for x in range(1, 36)] + [((0, 9), (1, 9))]},
-     "the walls cut the arena into 72 rooms, at most 36"),
-    ({"colours": {"bal": (0, 0, 0)}}, "unknown name with a colour 'bal'; did you mean 'ball'?"),
-    ({"colours": {"ball": "green"}}, "expected (red, green, blue)"),
     ({"colours": {"ball": (0, 300, 0)}}, "expected at most 255"),
-    ({"touchable": ["boll"]}, "unknown agent or item 'boll'"),
 ]  # fmt: skip
 WRONG_USE: list[tuple[Callable[[], object], str]] = [
     (lambda: Hypothesis.of(house(), {"red agent": "ball to home"}, "help"),  # type: ignore[arg-type]
      "relation='help', expected {('red agent', 'green agent'): 'help'} or 'hinder'"),
     (lambda: house().goal_index("bell to home"),
      "unknown goal 'bell to home'; did you mean 'Get ball to home'"),
-    (lambda: SOLO.goal_index("get to red agent"), "unknown goal"),
     (lambda: house().scene(start={**PLACES, "box": (1, 1)}), "unknown agent or item 'box'"),
-    (lambda: house().scene(start={"red agent": (3, 3), "ball": (5, 5)}),
-     "start has no place for the green agent"),
     (lambda: house().scene(start={**PLACES, "ball": (37, 3)}),
      "the ball is at (37, 3) in frame 0, outside the arena"),
-    (lambda: house().scene(start={**PLACES, "ball": (3,)}),
-     "start of the ball has shape (1,), expected (2,)"),
     (lambda: house().scene(start=PLACES, size={"ball": 9}), "sizes must lie in [0.01, 6]"),
     (lambda: house(walls=[((12, 0), (12, 24))]).scene(start={**PLACES, "green agent": (4, 20)}),
      "the ball is in a room that walls close to every agent"),
-    (lambda: Scene(np.zeros((4, 3)), np.ones(4), world="solo"),  # type: ignore[arg-type]
-     "world='solo', expected a phase_ppl.World"),
     (lambda: worlds.named("duo"), "unknown world 'duo'"),
-    (lambda: dataclasses.replace(SOLO, colours=5), "colours=5, expected a mapping of names"),
     (lambda: World(list("abcd"), list("efghij"), {"home": (2, 2, 1)}, (0, 4, 0, 4)).random_scene(0),
      "no place was found for everybody"),
 ]  # fmt: skip
 RANDOM: list[tuple[dict[str, Any], str]] = [
-    ({"rooms": {"red": "home"}}, "unknown agent or item 'red'"),
     ({"rooms": {"red agent": "hme"}}, "unknown landmark 'hme'; did you mean 'home'"),
     ({"rooms": {"red agent": 6}}, "room=6, expected at most 5"),
-    ({"rooms": {"red agent": (40, 0)}}, "room of (40, 0), which lies outside the arena"),
-    ({"near": {"red agent": "hme"}}, "unknown agent, item or landmark 'hme'"),
     ({"near": {"red agent": "pink ball", "pink ball": "red agent"}}, "are near themselves"),
-    ({"size": {"red": 1.0}}, "unknown agent or item 'red'"),
     ({"size": 40.0}, "size of the red agent is 40.0, expected one in [0.01, 6]"),
 ]
 

@@ -284,7 +284,7 @@ _CURVES: Final = {
 def training_curves(
     report: Mapping[str, Any], path: str | os.PathLike[str] | None = None
 ) -> Figure:
-    """Draw the curves of all networks of a training, 7.5 x 3 inches; a dot: the epoch kept.
+    """Draw the curves of all networks of a training, 7.5 x 3 inches.
 
     ``report`` is what :func:`phase_ppl.train_socialgnn` returns.
     """
@@ -300,11 +300,9 @@ def training_curves(
     for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
         for (name, label), colour in zip(lines.items(), colours):  # noqa: B905
             for number, member in enumerate(members if name in members[0]["curves"] else ()):
-                values, kept = member["curves"][name], member["best_epoch"]
+                values = member["curves"][name]
                 style: dict[str, Any] = {"color": colour, "label": None if number else label}
                 axes.plot(np.arange(1, len(values) + 1), values, lw=0.9, alpha=0.75, **style)
-                if name != "training":
-                    axes.plot(kept, values[kept - 1], "o", ms=4, color=colour, mec="white", mew=0.6)
         axes.set(title=title, xlabel="epoch", xlim=(1, max(longest, 2)))
         axes.set_ylim(0, 1.02 if "relation" in lines else None)
         axes.grid(axis="y")

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import time
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,22 +15,10 @@ from typing import Any, Final
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.data.documents import read_json
-from phase_ppl.data.events_json import event_from_record
-from phase_ppl.data.events_netcdf import checksum, events_bytes
-from phase_ppl.data.generated import (
-    BLOCKS,
-    COST,
-    ENTRIES,
-    EVENTS,
-    MANIFEST,
-    MANIFEST_SCHEMA,
-    PLAN,
-    REJECTED,
-    GeneratedEvents,
-)
-from phase_ppl.data.generation.making import Part, make
-from phase_ppl.data.generation.plan import BLOCK, DrawRoles, Plan, Slot, cell_of, scaled
-from phase_ppl.data.generation.situation import PHASE500, tables_of
+from phase_ppl.data.events_json import checksum, event_from_record, events_bytes
+from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN, GeneratedEvents
+from phase_ppl.data.generation.making import DrawRoles, Part, Plan, Slot, cell_of, make, scaled
+from phase_ppl.data.generation.situation import tables_of
 from phase_ppl.simulator.processes import Failure, results, slots_of
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -68,9 +55,6 @@ def read_part(folder: Path, slot: Slot) -> Part:
         if part.pop("sha256") != _digest(part) or part["name"] != slot.name:
             raise InvalidEventError("its content is not what sha256 says, or of another slot")
         part["events"] = [event_from_record(record) for record in part["events"]]
-        for draw in part["rejected"]:
-            if "event" in draw:
-                draw["event"] = event_from_record(draw["event"])
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error})") from None
@@ -98,42 +82,21 @@ def assemble(
 ) -> None:
     """Write the data set of a plan whose slots all have parts; the manifest comes last.
 
-    One block of slots is in memory at a time. A set of a single block has its events in one file,
-    and its entries in the manifest. ``made_by`` are the code versions that made it, oldest first.
+    ``made_by`` are the code versions that made it, oldest first.
     """
+    parts = [read_part(out, slot) for slot in slots]
     kept = Counter(dict.fromkeys(plan["cells"], 0))
     refused = {cell: Counter[str]() for cell in plan["cells"]}
-    given_up: list[str] = []
-    sizes: list[int] = []
-    single = len(slots) <= BLOCK
-    for start in range(0, len(slots), BLOCK):
-        parts = [read_part(out, slot) for slot in slots[start : start + BLOCK]]
-        given_up += [part["name"] for part in parts if not part["events"]]
-        for part in parts:
-            kept[part["cell"]] += bool(part["events"])
-            refused[part["cell"]].update(draw["reason"] for draw in part["rejected"])
-        events = [event for part in parts for event in part["events"]]
-        entries = [entry for part in parts for entry in part["entries"]]
-        for event, entry in zip(events, entries, strict=True):
-            entry["checksum"] = checksum(event)
-        draws = [
-            {"id": draw["id"], "cell": part["cell"], **draw}
-            for part in parts
-            for draw in part["rejected"]
-            if "event" in draw
-        ]
-        place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
-        if events:
-            write_bytes(place / EVENTS, (".nc",), events_bytes(events))
-        if draws:
-            content = events_bytes([draw.pop("event") for draw in draws])
-            write_bytes(place / f"{REJECTED}.nc", (".nc",), content)
-            write_json(place / f"{REJECTED}.json", {"rejected": draws})
-        if not single:
-            write_json(place / ENTRIES, {"entries": entries})
-        sizes.append(len(events))
-    if not sum(sizes):
+    for part in parts:
+        kept[part["cell"]] += bool(part["events"])
+        refused[part["cell"]].update(part["rejected"])
+    events = [event for part in parts for event in part["events"]]
+    entries = [entry for part in parts for entry in part["entries"]]
+    if not events:
         raise OutputError(f"{out}: no draw of any kind was kept")
+    for event, entry in zip(events, entries, strict=True):
+        entry["checksum"] = checksum(event)
+    write_bytes(out / EVENTS, (".json",), events_bytes(events))
     write_json(
         out / MANIFEST,
         {
@@ -143,14 +106,14 @@ def assemble(
             "earlier_versions": made_by[:-1],
             "kept": kept,
             "rejected": refused,
-            "given_up": given_up,
-            **({"entries": entries} if single else {"blocks": sizes}),
+            "given_up": [part["name"] for part in parts if not part["events"]],
+            "entries": entries,
         },
     )
 
 
 def _make_missing(
-    folder: Path, plan: Plan, missing: Sequence[Slot], total: int, keep_rejected: bool, **how: Any
+    folder: Path, plan: Plan, missing: Sequence[Slot], total: int, **how: Any
 ) -> None:
     """Make the missing parts; ``total`` is the number of all."""
     left, progress = len(missing), how.pop("progress")
@@ -163,8 +126,6 @@ def _make_missing(
                 if isinstance(part, Failure):
                     failures.append(f"{slot.cell}, number {slot.number}: {part.reason}")
                 else:
-                    for draw in () if keep_rejected else part["rejected"]:
-                        draw.pop("event", None)
                     write_json(part_file(folder, slot), {"sha256": _digest(part), **part})
                     left -= 1
                 bar.update()
@@ -186,9 +147,6 @@ def _make_missing(
 
 # --- the call --------------------------------------------------------------------------------
 
-PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
-"""Preset -> cells: the paper's set."""
-
 
 class GenerationInterrupted(KeyboardInterrupt):
     """The generation was interrupted; finished events are kept, and it can be resumed."""
@@ -208,9 +166,6 @@ def generate(
     turning: Any = "both",
     frames: int | None = None,
     max_tries: int | None = None,
-    reflect: bool | None = None,
-    recolour: bool | None = None,
-    keep_rejected: bool = False,
     resume: bool = False,
     other_versions: bool = False,
     workers: int | None = None,
@@ -241,15 +196,13 @@ def generate(
             default PHASE has the paper's 500, any other world, or with ``roles``, random scenes
             (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
-        copies: further copies of each event with other reflections and colours, in its split.
+        copies: further copies of each event with other reflections and colours, in its split;
+            only in PHASE, where these are drawn at random.
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
         frames: length, in PHASE before the cut after the last motion; default 101.
         max_tries: draws after which an event is given up; default 200.
-        reflect, recolour: whether events are reflected, and colours exchanged, at random; by
-            default as in PHASE. Like copies, only PHASE has them.
-        keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with the unfinished set in ``out``; its damaged events are made anew, with a
             warning.
         other_versions: resume even if other versions of this package or its libraries made that;
@@ -288,13 +241,11 @@ def generate(
         planner=planner,
         seed=seed,
         turning=turning,
-        reflect=tables.has_looks if reflect is None else reflect,
-        recolour=tables.has_looks if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
     at_once = slots_of(workers, executor)
     folder, slots = Path(out), plan.slots()
-    record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
+    record = {"schema": PLAN_SCHEMA, **plan.to_dict()}
     with locked(writable_folder(out)):
         made_by: list[dict[str, Any]] = []
         if (folder / PLAN).exists():
@@ -311,12 +262,9 @@ def generate(
             if missing:
                 made_by = versions_so_far(made_by, folder, other_versions)
                 write_json(folder / PLAN, {**record, "versions": made_by})
-            clock = time.perf_counter()
             how = {"workers": at_once, "executor": executor, "progress": progress}
-            _make_missing(folder, plan, missing, len(slots), keep_rejected, **how)
-            cost = {"seconds": time.perf_counter() - clock, "workers": at_once}
+            _make_missing(folder, plan, missing, len(slots), **how)
             assemble(folder, plan.to_dict(), made_by, slots)
-            write_json(folder / COST, {**cost, "made_now": len(missing)})
         for file in (*(part_file(folder, slot) for slot in slots), *parts.glob(".part-*")):
             file.unlink(missing_ok=True)  # also parts cut short when a process was killed
         with contextlib.suppress(OSError):  # other files there are not ours

@@ -1,30 +1,237 @@
-"""Making one event of a plan and its copies: simulate, measure, accept, reflect and recolour."""
+"""Plans of data sets, and making one event of a plan and its copies.
+
+An event is simulated, measured, accepted, reflected and recoloured. A *slot* is one event to be
+made. It depends on the plan and its number only. So it is the same whichever events are made before
+it or beside it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Mapping
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.data.events_json import event_record
-from phase_ppl.data.generation.families import Drawn, pairs_showing
-from phase_ppl.data.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
-from phase_ppl.data.generation.situation import tables_of
+from phase_ppl.data.generation.families import Drawn, Family, cells_of, family_of, pairs_showing
+from phase_ppl.data.generation.situation import PHASE500, tables_of
 from phase_ppl.data.motion import last_motion
 from phase_ppl.physics.actions import DIRECTIONS
 from phase_ppl.simulator.contract import random_generator
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import BoolArray, FloatArray
-from phase_ppl.world.errors import InvalidSettingError, instance_of
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_memory,
+    check_name,
+    instance_of,
+    nonnegative_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, all_ways
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, PredicateKind
-from phase_ppl.world.scene import Scene, Turning, World
+from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, PredicateKind
+from phase_ppl.world.scene import PHASE, TURNINGS, Scene, Turning, World, world_in_files
+
+# --- plans of data sets ---------------------------------------------------------------------------
+
+SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
+"""Shares of the splits, as in the paper."""
+
+UNCHANGED: Final = "none"
+
+REFLECTION_SHARES: Final[Mapping[str, float]] = {
+    UNCHANGED: 0.25, "up-down": 0.12, "left-right": 0.18, "about y=x": 0.21, "about y=-x": 0.24,
+}  # fmt: skip
+"""How often the original test videos are reflected, and how."""
+
+_EVENT_BYTES: Final = 20_000
+_FRAME_BYTES: Final = 600
+"""Bytes of memory for an event that is assembled, and for each of its frames."""
+
+MOST_TRIES: Final = 1000  # in worlds other than PHASE, where each try has its own number
+
+DrawRoles = Callable[[World, int], Hypothesis | None]
+"""``(world, seed)`` -> hypothesis, as :func:`phase_ppl.roles.draw`; None: draw anew."""
+
+
+def is_as_before(world: World) -> bool:
+    """Whether numbers and files must equal those of versions that knew PHASE only."""
+    return world_in_files(world) is None
+
+
+class Look(NamedTuple):
+    """The reflection and colours of a recording."""
+
+    reflection: str  # a name of ``REFLECTION_SHARES``
+    agents: bool  # whether the colours of the agents are exchanged; ``items``: of the items
+    items: bool
+
+
+class Slot(NamedTuple):
+    """An event to be made, with its copies."""
+
+    number: int  # from 0
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world for random scenes
+    cell: str
+    split: str  # name of the split that it and its copies belong to
+
+    @property
+    def name(self) -> str:
+        """The id of its event; those of copies have a dot and a number after it."""
+        return f"{self.cell.replace(':', '-')}-{self.number:05d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """The settings of :func:`phase_ppl.generate`."""
+
+    cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
+    splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
+    copies: int = 0
+    turning: Turning = "both"  # the original events have only "ccw", before any reflection
+    frames: int = 101
+    planner: str | PlannerConfig = "fast"
+    seed: int = 0
+    max_tries: int = 200
+    world: World = PHASE
+    roles: DrawRoles | None = None
+
+    def __post_init__(self) -> None:
+        for given in ("cells", "splits"):
+            instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
+        spread = Counter[str]()
+        for cell, n in self.cells.items():
+            of_each = dict.fromkeys(cells_of(cell, self.world), 1.0)
+            spread.update(apportioned(whole_number(cell, n, 0), of_each))
+        object.__setattr__(self, "cells", dict(spread))
+        if self.roles is not None and not callable(self.roles):
+            raise InvalidSettingError(
+                f"roles={shown(self.roles)}, expected a function (world, seed) such as "
+                "phase_ppl.roles.draw"
+            )
+        if not sum(self.cells.values()):
+            raise InvalidSettingError("the plan holds no events")
+        for name, share in self.splits.items():
+            nonnegative_number(f"split {name}", share)
+        if not sum(self.splits.values()) > 0:
+            raise InvalidSettingError("the splits have no shares")
+        check_name("turning", self.turning, TURNINGS)
+        least = {"copies": 0, "frames": 2, "seed": 0, "max_tries": 1}
+        for name, minimum in least.items():
+            whole_number(name, getattr(self, name), minimum)
+        if not is_as_before(self.world):
+            whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
+        for family in self.families.values():  # errors of users' functions show now
+            family.draw(self.world, np.random.default_rng(self.seed))
+        n, each = sum(self.cells.values()), 1 + self.copies
+        what = f"a plan of {n * each} events of {self.frames} frames"
+        check_memory(what, n * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames))
+        object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
+        most = len(self.looks) - 1
+        if self.copies > most:
+            raise InvalidSettingError(
+                f"copies={self.copies}, but an event of {self.world.name!r} has only {most} other "
+                "looks"
+            )
+
+    @functools.cached_property
+    def families(self) -> Mapping[str, Family]:
+        """Cell -> family, with its variant; stored, as worker processes know no users' families."""
+        own = cell_of(self.world)
+        return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
+
+    @functools.cached_property
+    def looks(self) -> list[Look]:
+        """The possible looks of events."""
+        if not tables_of(self.world).has_looks:
+            return [Look(UNCHANGED, agents=False, items=False)]
+        swaps = (False, True)
+        return [Look(*look) for look in itertools.product(REFLECTION_SHARES, swaps, swaps)]
+
+    @functools.cached_property
+    def shares(self) -> FloatArray:
+        """The frequency of each look."""
+        shares = np.array([REFLECTION_SHARES[look.reflection] for look in self.looks])
+        return np.asarray(shares / shares.sum())
+
+    def slots(self) -> list[Slot]:
+        """Return the events to be made; each split has about the same shares of every cell."""
+        rng = np.random.default_rng([self.seed, 1])
+        row = [cell for cell, n in self.cells.items() for _ in range(n)]
+        # neighbours are of one kind, so that dealing out the splits along the row stratifies them
+        names = list(self.splits)
+        counts = apportioned(len(row), self.splits)
+        place = np.concatenate(
+            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+        )
+        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+        order = rng.permutation(len(row))  # so that numbers do not reveal kinds
+        return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
+
+    def warm_up(self) -> None:
+        """Compile the kernels that its simulations use."""
+        JointSimulator(self.planner).warm_up()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, fit for JSON."""
+        record = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        record["planner"] = self.planner.to_dict()  # type: ignore[union-attr]
+        del record["world"], record["roles"]
+        if self.roles is not None:
+            record["roles"] = _function_record(self.roles)
+        if not is_as_before(self.world):
+            record["world"] = self.world.to_dict()
+            if self.families:
+                record["families"] = {
+                    family.name: _function_record(family.function)
+                    for family in self.families.values()
+                }
+        return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return what identifies a function, and the functions inside a partial."""
+    held = [function]
+    if isinstance(function, functools.partial):
+        held += [one for one in (*function.args, *function.keywords.values()) if callable(one)]
+    found = {"function": qualified_name(function), "sources": [source_hash(one) for one in held]}
+    return dict(stable(found))
+
+
+def cell_of(world: World) -> str:
+    """Return the cell of a world's random scenes."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
+
+
+def apportioned(total: int, shares: Mapping[str, float]) -> dict[str, int]:
+    """Return whole numbers of sum ``total`` in proportion to shares (largest remainders)."""
+    exact = {name: total * share / sum(shares.values()) for name, share in shares.items()}
+    counts = {name: int(value) for name, value in exact.items()}
+    left = sorted(exact, key=lambda name: counts[name] - exact[name])
+    for name in left[: total - sum(counts.values())]:
+        counts[name] += 1
+    return counts
+
+
+def scaled(cells: Mapping[str, int], n: int) -> dict[str, int]:
+    """Return numbers of events in the proportions of ``cells``, ``n`` in all."""
+    instance_of("cells", cells, Mapping, "a mapping from names to numbers")
+    return apportioned(whole_number("n", n, 1), cells)
+
+
+# --- recordings ------------------------------------------------------------------------------
 
 AFTER_MOTION: Final = 8
 """Frames kept after the last motion, as in the original recordings: 2 s of video."""
@@ -40,10 +247,8 @@ class Recording:
     hypothesis: Hypothesis
     layout: int  # number of the layout, before any reflection
     trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
-    # (time, agent) whether the action that led to the frame pushes; whether the agent held an item
-    # when it chose that action. False at the start
+    # (time, agent) whether the action that led to the frame pushes; False at the start
     pushes: BoolArray
-    holds: BoolArray
 
 
 def record(
@@ -54,14 +259,10 @@ def record(
     steps = simulator.steps(scene, hypothesis, rng)
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)
-    at_start = [(False, False)] * len(scene.world.agents)
-    doing = [
-        [(one.action in PUSHES, one.held != NOTHING) for one in each] or at_start
-        for _, each in taken
-    ]
+    at_start = [False] * len(scene.world.agents)
+    pushes = np.array([[one.action in PUSHES for one in each] or at_start for _, each in taken])
     length = after_motion(trajectory) if tables_of(scene.world).is_cut else len(trajectory)
-    pushes, holds = np.moveaxis(np.array(doing[:length]), 2, 0)
-    return Recording(scene, hypothesis, situation.layout, trajectory[:length], pushes, holds)
+    return Recording(scene, hypothesis, situation.layout, trajectory[:length], pushes[:length])
 
 
 def after_motion(trajectory: FloatArray) -> int:
@@ -130,7 +331,6 @@ def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
         hypothesis=_renamed(recording.hypothesis, order, list(range(len(LANDMARKS)))),
         trajectory=recording.trajectory[:, order],
         pushes=recording.pushes[:, agent_order],
-        holds=recording.holds[:, agent_order],
     )
 
 
@@ -158,34 +358,26 @@ PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(ax
 
 NEAR: Final = 1.5  # distance at which agents have met, in units of the sum of their sizes
 MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
-Measures = Mapping[str, Any]
 
 
 def measures(recording: Recording) -> dict[str, Any]:
     """Return facts about a recording, as plain numbers and lists.
 
-    Keys; those in brackets are lists over agents, or over agents, then items:
-
-    * ``frames``.
-    * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
+    * ``at_start``, ``at_end``: for each agent, whether its effective goal is true then.
     * ``closest``: least distance between two agents, in units of the sum of their sizes; by pair,
-      such as "red & green"; in PHASE a single value.
-    * ``met``: frames in which they touch, likewise.
-    * ``touched`` [agent]: items that it touched.
-    * ``moved`` [entity]: length of its path, units.
-    * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
-    * ``held`` [agent], in PHASE: share of frames in which it holds something.
-    * ``reached`` [agent], elsewhere: whether it has a goal of its own that became true.
+      such as "red & green".
+    * ``touched``: for each agent, items that it touched.
+    * ``stuck``: for each agent, the longest run of frames in which it pushes and does not move.
     """
     track, scene, wanted = recording.trajectory, recording.scene, recording.hypothesis
     world, agents = scene.world, range(len(scene.world.agents))
     literals = list(map(goal_literal, wanted.effective_goals, agents, itertools.repeat(world)))
-    truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
-    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    in_vain = recording.pushes[1:] & (steps[:, : len(agents)] < STILL)
+    at_start, at_end = ([is_true(one, track[i], scene) for one in literals] for i in (0, -1))
+    steps = np.linalg.norm(np.diff(track[:, : len(agents), :2], axis=0), axis=2)
+    in_vain = recording.pushes[1:] & (steps < STILL)
 
-    def touching(one: int, other: int) -> list[bool]:
-        return [touches(one, other, frame, scene.radius, len(agents)) for frame in track]
+    def touched(one: int, other: int) -> bool:
+        return any(touches(one, other, frame, scene.radius, len(agents)) for frame in track)
 
     def closest(one: int, other: int) -> float:
         apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
@@ -194,24 +386,16 @@ def measures(recording: Recording) -> dict[str, Any]:
     pairs = {_named(world, pair): pair for pair in itertools.combinations(agents, 2)}
     items = list(enumerate(world.items, len(agents)))
     runs = [[len(list(run)) for vain, run in itertools.groupby(one) if vain] for one in in_vain.T]
-    found: dict[str, Any] = {
-        "frames": len(track),
-        "at_start": truth[0].tolist(),
-        "ever": truth.any(axis=0).tolist(),
-        "at_end": truth[-1].tolist(),
+    return {
+        "at_start": at_start,
+        "at_end": at_end,
         "closest": {name: closest(*pair) for name, pair in pairs.items()},
-        "met": {name: sum(touching(*pair)) for name, pair in pairs.items()},
-        "touched": [[name for item, name in items if any(touching(a, item))] for a in agents],
-        "moved": steps.sum(axis=0).tolist(),
+        "touched": [[name for item, name in items if touched(a, item)] for a in agents],
         "stuck": [max(lengths, default=0) for lengths in runs],
     }
-    if not is_as_before(world):
-        return {**found, "reached": _reached(wanted, found)}
-    (found["closest"],), (found["met"],) = found["closest"].values(), found["met"].values()
-    return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
-def _reached(wanted: Hypothesis, found: Measures) -> list[bool]:
+def reached(wanted: Hypothesis, found: Mapping[str, Any]) -> list[bool]:
     """Return (agent,) whether it pursues a goal of its own that became true."""
     each = zip(wanted.towards, found["at_start"], found["at_end"], strict=True)
     return [other is None and end and not start for other, start, end in each]
@@ -222,7 +406,7 @@ def _named(world: World, pair: tuple[int, int]) -> str:
     return " & ".join(world.keys[agent] for agent in pair)
 
 
-def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | None:
+def reason_against(scenario: str, wanted: Hypothesis, found: Mapping[str, Any]) -> str | None:
     """Return why an event does not show its scenario; None: it does.
 
     With three or more agents, one pair must want what makes the scenario, and show it. For
@@ -248,9 +432,7 @@ def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | 
             return "not both touch the item"
         if scenario == "collaborative" and not all(found["at_end"][agent] for agent in pair):
             return "a goal is not reached"
-        near = found["closest"]
-        closest = near[_named(world, pair)] if isinstance(near, Mapping) else near
-        if scenario == "opposing" and closest >= NEAR:
+        if scenario == "opposing" and found["closest"][_named(world, pair)] >= NEAR:
             return "the agents never come near each other"
         return None
 
@@ -267,8 +449,8 @@ Part = dict[str, Any]
 """The result of a slot, as plain data.
 
 ``name`` and ``cell`` are the slot's. ``events`` are the event and its copies; empty if every draw
-was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the draws before the
-accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if anything was simulated.
+was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the reasons against
+the draws before the accepted one.
 """
 
 
@@ -282,7 +464,6 @@ def make(plan: Plan, slot: Slot) -> Part:
     before = is_as_before(plan.world)
     part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
     for attempt in range(plan.max_tries):
-        told: dict[str, Any] = {"id": f"{slot.name}-{attempt}", "reason": "", "measures": {}}
         seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
         rng = np.random.default_rng([plan.seed, 0, slot.number, attempt] if before else seed)
         if family is not None:
@@ -290,7 +471,7 @@ def make(plan: Plan, slot: Slot) -> Part:
         else:
             roles = _drawn_roles(plan, seed)
             if isinstance(roles, str):
-                part["rejected"].append({**told, "reason": roles})
+                part["rejected"].append(roles)
                 continue
             drawn = Drawn(plan.world.random_scene(seed), roles, 0)
         steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
@@ -300,10 +481,9 @@ def make(plan: Plan, slot: Slot) -> Part:
         if family is not None:
             reason = reason_against(family.scenario, recording.hypothesis, found)
         else:
-            reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
+            reason = None if any(reached(drawn.roles, found)) else "no goal is reached"
         if reason is not None:
-            event = event_record(event_of(recording, told["id"]))
-            part["rejected"].append({**told, "reason": reason, "measures": found, "event": event})
+            part["rejected"].append(reason)
             continue
         for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
             look = plan.looks[index]

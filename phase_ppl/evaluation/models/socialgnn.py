@@ -66,8 +66,7 @@ def socialgnn(
 
     Args:
         variant: "extended", the paper's and the default; "original", the authors', which says the
-            relation only; "message_passing", this package's own; not with ``weights``, which are
-            of one.
+            relation only; not with ``weights``, which are of one.
         weights: an npz file, or the folder that training wrote, instead of those of the package.
         member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.

@@ -20,10 +20,13 @@ import msgspec
 from phase_ppl.data.documents import read_json
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import Answer, check_installed, register_model
-from phase_ppl.models.vlm.request import (
-    REMAINING,
+from phase_ppl.models.vlm import (
+    LIBRARY,
+    LONGEST_WAIT,
+    MODEL,
     TEXT,
     Client,
+    Google,
     NoReply,
     Parsed,
     Reply,
@@ -34,7 +37,6 @@ from phase_ppl.models.vlm.request import (
     sha256,
     writable,
 )
-from phase_ppl.models.vlm.services import LONGEST_WAIT, SERVICES, Service, make_service
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -64,7 +66,7 @@ pause = time.sleep
 class Attempt(msgspec.Struct, kw_only=True, omit_defaults=True):
     """A request that was made, once or again by a service's library: a text came, or a failure.
 
-    What else is known is as of :class:`~phase_ppl.models.vlm.request.Reply`.
+    What else is known is as of :class:`~phase_ppl.models.vlm.Reply`.
     """
 
     time: str  # in UTC, ISO 8601
@@ -117,7 +119,6 @@ class Vlm:
     store: Path | None  # folder that keeps the answers, if they are to be kept
     replay: bool  # whether stored answers are all there is
     retries: int  # how often an event is asked about again, at most
-    remaining: str  # what becomes of probability that an answer gives to no goal
     text: str = TEXT  # of the question, see ``TEXT``
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
@@ -163,8 +164,7 @@ class Vlm:
                 wait = min(2 * wait, LONGEST_WAIT)
         cost = _cost(record.attempts[: place + 1], len(parsed.repairs), from_store)
         prediction = Prediction("", probabilities=parsed.probabilities, cost=cost)
-        kept = {"repairs": list(parsed.repairs), "remaining": self.remaining}
-        kept = {**msgspec.to_builtins(record), **kept}
+        kept = {**msgspec.to_builtins(record), "repairs": list(parsed.repairs)}
         return Answer(prediction, {ANSWER: lambda path: write_json(path, kept)})
 
     def settings(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Vlm:
             reason = attempt.failure
             if attempt.text is not None:
                 try:
-                    return place, parse(attempt.text, self.remaining), None
+                    return place, parse(attempt.text), None
                 except AnswerError as error:
                     ended = f" (ended by: {attempt.finish})" if attempt.finish else ""
                     reason = f"{error}{ended}"
@@ -191,7 +191,7 @@ class Vlm:
         found: dict[str, Any]
         try:
             client = self.client
-            given = client(request, retries) if isinstance(client, Service) else client(request)
+            given = client(request, retries) if isinstance(client, Google) else client(request)
             reply = Reply(given) if isinstance(given, str) else given
             if not isinstance(reply, Reply):
                 raise NoReply(f"the client returned {shown(reply)}, expected text")
@@ -231,50 +231,39 @@ def vlm(
     name: str | None = None,
     store: str | os.PathLike[str] | None = None,
     replay: bool = False,
-    show: str | None = None,
+    show: str = "video",
     frames: int = 24,
-    base_url: str | None = None,
-    key_env: str | None = None,
     temperature: float | None = None,
     video_fps: float | None = None,
     timeout: float | None = None,
     retries: int = 4,
-    remaining: str = "spread",
     prompt: str | os.PathLike[str] | None = None,
 ) -> Vlm:
     """A vision-language model that watches the animation and answers in JSON.
 
     Args:
-        client: "google", "openai" (or whatever speaks the same), or a function that takes a
-            :class:`~phase_ppl.models.vlm.request.Request` and returns a text.
-        name: of the model, as the service calls it; for Google the paper's, gemini-2.5-pro. For a
+        client: "google", whose key is in the environment variable GOOGLE_API_KEY or
+            GEMINI_API_KEY; or a function that takes a
+            :class:`~phase_ppl.models.vlm.Request` and returns a text.
+        name: of the model, as Google calls it, by default the paper's, gemini-2.5-pro. For a
             function, the name under which its answers are kept, by default its own.
         store: folder in which answers are kept; one that is there is not asked for again.
         replay: ask nobody; an answer that is not in ``store`` is an error.
-        show: "video" or "pictures"; by default the video to Google and to functions, pictures to
-            OpenAI's API, which takes no video. A function may look at both; this is what the
-            prompt speaks of.
+        show: "video" or "pictures"; by default the video. A function may look at both; this is
+            what the prompt speaks of.
         frames: how many pictures, evenly spaced, the first and the last frame among them.
-        base_url: of a service that speaks the same; it may need no key.
-        key_env: name of the environment variable with the key; by default GOOGLE_API_KEY or
-            GEMINI_API_KEY, and OPENAI_API_KEY.
         temperature: by default the service's, as for the paper.
         video_fps: frames per second of the video that Google looks at; by default Google's, 1.
         timeout: seconds that a service may take for an answer; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
-        remaining: "spread" or "zero" (:data:`phase_ppl.models.vlm.request.REMAINING`).
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
-            the goals; by default :data:`phase_ppl.models.vlm.request.TEXT`.
+            the goals; by default :data:`phase_ppl.models.vlm.TEXT`.
     """
     if client is None:
-        raise InvalidSettingError(
-            "model 'vlm' needs client='google', client='openai' or a function of a request"
-        )
+        raise InvalidSettingError("model 'vlm' needs client='google' or a function of a request")
     instance_of("replay", replay, bool, "true or false")
-    check_name("remaining", remaining, REMAINING)
-    if show is not None:
-        check_name("show", show, ("video", "pictures"))
+    check_name("show", show, ("video", "pictures"))
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise InvalidSettingError(f"name={shown(name)}, expected a name")
     whole_number("frames", frames, minimum=2)
@@ -285,15 +274,12 @@ def vlm(
     if replay and (kept is None or not any(kept.glob("*.json"))):
         where = "store is not given" if kept is None else f"there are none in {kept}"
         raise InvalidSettingError(f"replay needs a store with answers, but {where}")
-    of_services = {
-        **{"base_url": base_url, "key_env": key_env, "timeout": timeout},
-        **{"temperature": temperature, "video_fps": video_fps},
-    }
-    given = {option: value for option, value in of_services.items() if value is not None}
+    of_service = {"timeout": timeout, "temperature": temperature, "video_fps": video_fps}
+    given: dict[str, Any] = {name: value for name, value in of_service.items() if value is not None}
     if callable(client):
         if given:
             raise InvalidSettingError(
-                f"{', '.join(given)}: for services, not for a function as client"
+                f"{', '.join(given)}: for Google, not for a function as client"
             )
         who = qualified_name(client)
         if name is None and (not hasattr(client, "__qualname__") or "<lambda>" in who):
@@ -301,14 +287,15 @@ def vlm(
                 f"client {who} has no name of its own: give name=, under which its answers are kept"
             )
         asked: Client = client
-        named: dict[str, Any] = {"client": who, "model": name or who, "show": show or "video"}
+        named: dict[str, Any] = {"client": who, "model": name or who, "show": show}
     else:
-        service = make_service(client, name, show, given, to_be_asked=not replay)
+        check_name("client", client, ["google"])
+        service = Google(name or MODEL, show, **given)
         if not replay:
-            check_installed(f"client {client!r}", [SERVICES[service.name]], "vlm")
+            check_installed("client 'google'", [LIBRARY], "vlm")
         asked, named = service, service.named()
     text = TEXT if prompt is None else _users_prompt(prompt)
-    return Vlm(asked, named, frames, kept, replay, retries, remaining, text)
+    return Vlm(asked, named, frames, kept, replay, retries, text)
 
 
 def _users_prompt(path: object) -> str:

@@ -28,12 +28,10 @@ from phase_ppl.models.socialgnn.graphs import (
     Variant,
     edge_slots,
     n_context,
-    n_nodes,
 )
 from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
-    instance_of,
     number_or_nan,
     shown,
     whole_number,
@@ -43,101 +41,57 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 
 EDGE, STATE = 64, 16
-"""Units of an edge and of the LSTM's state in the paper's variants, those of the authors."""
-
-_OWN_EDGE, _OWN_NODE, _OWN_STATE = 32, 16, 64
-"""Units of an updated edge, of an updated node and of the LSTM's state for message passing."""
-
-_ALL: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS}
+"""Units of an edge and of the LSTM's state, those of the authors."""
 
 HEADS: Final[Mapping[str, Mapping[str, int]]] = {
-    "extended": _ALL,
+    "extended": {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS},
     "original": {"relation": len(RELATIONS)},
-    "message_passing": _ALL,
 }
 """Variant -> head -> its answers."""
 
 
 def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
     """Return the arrays of a trained network, as PyTorch calls them, with their shapes."""
-    nodes, context = n_nodes(variant), n_context(variant)
-    if variant == "message_passing":
-        # identity of the node, vector from one to the other, its length, kind of edge
-        features, state = N_FEATURES + nodes, _OWN_STATE
-        layers = {
-            "edge": (_OWN_EDGE, 2 * features + 4 + context),
-            "node": (_OWN_NODE, features + _OWN_EDGE),
-        }
-        wide = nodes * _OWN_NODE
-    else:
-        layers, state = {"edge": (EDGE, 2 * N_FEATURES + context)}, STATE
-        wide = (int(edge_slots(variant).max()) + 1) * EDGE
-    layers |= {f"heads.{name}": (n, state) for name, n in HEADS[variant].items()}
+    layers = {"edge": (EDGE, 2 * N_FEATURES + n_context(variant))}
+    wide = (int(edge_slots(variant).max()) + 1) * EDGE
+    layers |= {f"heads.{name}": (n, STATE) for name, n in HEADS[variant].items()}
     found: dict[str, tuple[int, ...]] = {}
     for name, shape in layers.items():
         found |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
     return found | {
-        "lstm.weight_ih_l0": (4 * state, wide),
-        "lstm.weight_hh_l0": (4 * state, state),
-        "lstm.bias_ih_l0": (4 * state,),
-        "lstm.bias_hh_l0": (4 * state,),
+        "lstm.weight_ih_l0": (4 * STATE, wide),
+        "lstm.weight_hh_l0": (4 * STATE, STATE),
+        "lstm.bias_ih_l0": (4 * STATE,),
+        "lstm.bias_hh_l0": (4 * STATE,),
     }
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
-    """How one network is trained; the defaults are for message passing, :meth:`of` for a variant.
+    """How one network is trained; by default as SocialGNN's authors did.
 
     Raises:
         InvalidSettingError, UnknownNameError: a value that is not allowed.
     """
 
-    # "extended", "message_passing" (relation and goals) or "original" (relation only)
-    variant: Variant = "message_passing"
-    epochs: int = 250  # passes over the training events, at most
-    # epochs without a smaller validation loss after which training ends; the network with the
-    # smallest loss is kept. 0: all epochs at one rate, and the last network is kept
-    patience: int = 40
-    batch: int = 16  # events per step
-    # of Adam at the start; halved after a third of the patience without progress
-    learning_rate: float = 3e-3
-    decay: float = 3e-5  # weight of the squared norm of all weights in the loss
-    dropout: float = 0.2  # share of units left out in each step
-    # whether relations that are rare among the training events weigh more; else neutral ones count
-    # twice, as for the authors. A batch's loss is the weighted mean: in batches of one event
-    # neither has an effect
-    balanced: bool = True
-    looks: bool = True  # whether each epoch reflects and recolours an event anew
+    variant: Variant = "extended"  # or "original", which has the relation only
+    epochs: int = 100  # passes over the training events
+    batch: int = 20  # events per step
+    learning_rate: float = 1e-3  # of Adam
+    # weight of the squared norm of all weights in the loss; the authors' lambda is of half the norm
+    decay: float = 0.05 / 2
     threads: int = 1  # of PyTorch; the result depends on it
 
     def __post_init__(self) -> None:
         check_name("variant", self.variant, VARIANTS)
         for name in ("epochs", "batch", "threads"):
             whole_number(name, getattr(self, name))
-        whole_number("patience", self.patience, 0)
-        for name in ("balanced", "looks"):
-            instance_of(name, getattr(self, name), bool, "True or False")
-        for name, low, high in (
-            ("learning_rate", 1e-7, 1.0), ("decay", 0.0, 1.0), ("dropout", 0.0, 0.9),
-        ):  # fmt: skip
+        for name, low in (("learning_rate", 1e-7), ("decay", 0.0)):
             value = getattr(self, name)
-            if not low <= number_or_nan(value) <= high:
+            if not low <= number_or_nan(value) <= 1:
                 raise InvalidSettingError(
-                    f"{name}={shown(value)}, expected a number from {low:g} to {high:g}"
+                    f"{name}={shown(value)}, expected a number from {low:g} to 1"
                 )
-
-    @classmethod
-    def of(cls, variant: Variant, **changes: Any) -> TrainingSettings:
-        """Return the default settings of a variant; the paper's variants have the authors'."""
-        usual = {} if variant == "message_passing" else AS_THE_AUTHORS
-        return cls(variant, **{**usual, **changes})
-
-
-AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
-    **{"epochs": 100, "patience": 0, "batch": 20, "learning_rate": 1e-3, "dropout": 0.0},
-    **{"decay": 0.05 / 2, "balanced": False, "looks": False},  # their lambda, of half the norm
-}
-"""The training settings of SocialGNN's authors."""
 
 
 def needs_torch() -> Any:
@@ -248,8 +202,6 @@ def shipped(variant: str) -> Trained:
 def _checked(arrays: Mapping[str, NDArray[Any]]) -> Trained:
     layers = {key.partition("/")[2] for key in arrays}
     variant: Variant = "extended" if "heads.goal_red.weight" in layers else "original"
-    if "node.weight" in layers:
-        variant = "message_passing"
     numbers = {key.partition("/")[0] for key in arrays}
     if numbers != set(map(str, range(max(1, len(numbers))))):
         raise ValueError(

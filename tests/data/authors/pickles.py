@@ -92,7 +92,7 @@ def expected(copy: int | None) -> Recording:
     scene = Scene(trajectory[0], np.array(RADIUS), walls_of(LAYOUT), "ccw")
     hypothesis = Hypothesis(*GOALS, (0, 0), 600.0, 150.0)  # type: ignore[arg-type]
     nobody = np.zeros((len(rows), 2), bool)
-    made = Recording(scene, hypothesis, LAYOUT, trajectory, nobody, nobody)
+    made = Recording(scene, hypothesis, LAYOUT, trajectory, nobody)
     return made if copy is None else reflected(made, NAMES[copy])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import copyreg
 import os
 import pickle
 import random
@@ -18,11 +17,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.data.authors import pickles
-from phase_ppl.data.authors.pickles import read_pickle, unpickled
-from phase_ppl.data.load import load_events
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError
-from tests.data.authors.pickles import name_of, processed, record
+from phase_ppl.data import authors
+from phase_ppl.data.authors import read_pickle, unpickled
+from phase_ppl.world.errors import InvalidEventError
+from tests.data.authors.pickles import processed
 
 SPRUNG = "PHASE_PPL_TEST_TRAP"
 """A folder, or a variable of the environment, that is there once code of a pickle has run."""
@@ -70,7 +68,7 @@ def array(shape: bytes, dtype: bytes = F8, content: bytes = EIGHT) -> bytes:
     return EMPTY + b"(K\x01" + shape + dtype + b"\x89" + content + b"tb."
 
 
-PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
+PROTOCOLS = (0, 2, pickle.HIGHEST_PROTOCOL)
 
 
 @pytest.fixture(autouse=True)
@@ -228,7 +226,7 @@ REFUSED: dict[str, list[bytes]] = {
         b"cnumpy.core.multiarray\n_reconstruct.__globals__\n.", b"cnumpy\nos\n.",
         b"\x80\x04" + text("numpy") + text("ndarray.__reduce__") + b"\x93.",
         b"ccopy_reg\n_reconstructor\n.", b"c" + b"x" * 5000 + b"\ny\n.",
-        b"cphase_ppl.data.authors.pickles\n_Reader\n.",
+        b"cphase_ppl.data.authors\n_Reader\n.",
     ],
     # an object of a class, a number that stands for one, something outside the file, a set
     "is damaged, or holds an object of a class, refused": [
@@ -318,22 +316,6 @@ def test_what_is_not_plain_data_is_refused(message: str) -> None:
         assert message in refused(content), content[:60]
 
 
-def test_the_parts_of_those_arrays_are_right() -> None:
-    assert unpickled(array(b"K\x01\x85")).tolist() == [0.0]
-    made = from_buffer(EIGHT, F8, b"K\x01K\x01\x86", b"VK\n", b"K\x01K\x00\x86")
-    assert unpickled(made).tolist() == [[0.0]]
-    assert unpickled(b"c_codecs\nencode\n(VA\nVlatin1\ntR.") == b"A"
-
-
-def test_an_extension_that_python_knows_is_refused_too() -> None:
-    copyreg.add_extension("os", "mkdir", 200)
-    try:
-        content = b"\x80\x02\x82\xc8V" + SPRUNG.encode() + b"\n\x85R."
-        assert "an object of a class, refused" in refused(content)
-    finally:
-        copyreg.remove_extension("os", "mkdir", 200)
-
-
 def test_room_is_never_made_for_places_that_are_not_used() -> None:
     tracemalloc.start()
     try:
@@ -350,16 +332,16 @@ def test_room_is_never_made_for_places_that_are_not_used() -> None:
 
 
 def test_too_much_and_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pickles, "MAX_OPCODES", 10)
+    monkeypatch.setattr(authors, "MAX_OPCODES", 10)
     assert unpickled(b"N0" * 4 + b"N.") is None
     assert "has more than 10 opcodes" in refused(b"N0" * 5 + b"N.")
     path = tmp_path / "x.pkl"
     with pytest.raises(InvalidEventError, match="no such file"):
         read_pickle(path)
     path.write_bytes(pickle.dumps([1, 2]))
-    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size)
+    monkeypatch.setattr(authors, "MAX_BYTES", path.stat().st_size)
     assert read_pickle(path) == [1, 2]
-    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size - 1)
+    monkeypatch.setattr(authors, "MAX_BYTES", path.stat().st_size - 1)
     with pytest.raises(InvalidEventError, match="is larger than the"):
         read_pickle(path)
 
@@ -389,27 +371,12 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("content", [*map(videos, PROTOCOLS), OLD, OLD_BINARY], ids=range(8))
+@pytest.mark.parametrize("content", [*map(videos, PROTOCOLS), OLD, OLD_BINARY], ids=range(5))
 def test_a_damaged_file_is_read_or_refused(content: bytes) -> None:
     rng = random.Random(len(content))
     found = [complaint(damaged(content, rng)) for _ in range(250)]
     assert None in found
     assert len(set(found)) > 5
-
-
-def test_a_damaged_file_holds_events_or_none(tmp_path: Path) -> None:
-    rng = random.Random(0)
-    files = {"videos.pkl": [processed(2)], f"{name_of(3)}.pik": record(3)}
-    for name, content in files.items():
-        path, whole = tmp_path / name, pickle.dumps(content, 3)
-        for _ in range(15):
-            path.write_bytes(damaged(whole, rng))
-            try:
-                said = f"{path}: {len(load_events(path))} event"
-            except PhasePPLError as error:
-                said = str(error)
-            assert said.startswith(str(path))
-            assert "\n" not in said
 
 
 pieces = st.sampled_from(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,9 +11,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.data.generated import COST, verify
-from phase_ppl.data.generation import generate
-from phase_ppl.world.errors import InvalidEventError, SimulationError
+from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.simulator.clusters import local_cluster, note, the_third_killed
 
@@ -23,7 +20,6 @@ SET: dict[str, Any] = {
     "world": SOLO,
     "frames": 24,
     "seed": 2,
-    "keep_rejected": True,
     "max_tries": 9,
 }
 N = 5
@@ -50,8 +46,8 @@ def make(out: Path, **more: Any) -> Any:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return the files of a set with what is in them, but for what it cost."""
-    files = (file for file in folder.rglob("*") if file.is_file() and file.name != COST)
+    """Return the files of a set with what is in them."""
+    files = (file for file in folder.rglob("*") if file.is_file())
     return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 
 
@@ -88,29 +84,3 @@ def test_an_executor_that_is_shut_down_leaves_what_another_can_finish(
     with ThreadPoolExecutor(1) as executor:
         make(out, executor=executor, resume=True)
     assert contents(out) == contents(whole)
-
-
-def test_a_large_set_is_kept_in_blocks_and_has_the_same_events(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Path
-) -> None:
-    one = ppl.GeneratedEvents(whole)
-    assert verify(one.path) == []
-    monkeypatch.setattr(generate, "BLOCK", 2)
-    blocks = make(tmp_path / "set")
-    assert len(list((tmp_path / "set" / "blocks").iterdir())) == 3
-    assert blocks.ids == one.ids
-    assert list(blocks.entries) == list(one.entries)
-    assert list(blocks[::-2].entries) == list(one[::-2].entries)
-    assert [event.id for event in blocks[::-2]] == one.ids[::-2]
-    assert blocks.split("train").ids == one.split("train").ids
-    found, known = (ppl.statistics(each) for each in (blocks, one))
-    assert "split" in found.index
-    assert found.equals(known)
-    assert [(e.id, why) for e, why in blocks.rejected()] == [
-        (e.id, why) for e, why in one.rejected()
-    ]
-    assert verify(blocks.path) == []
-    other = tmp_path / "set" / "blocks" / "00001" / "entries.json"
-    shutil.copy(tmp_path / "set" / "blocks" / "00000" / "entries.json", other)
-    with pytest.raises(InvalidEventError, match=r"events.nc and entries.json are not of the same"):
-        list(ppl.load_events(blocks.path).entries)  # type: ignore[attr-defined]

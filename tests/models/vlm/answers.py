@@ -1,4 +1,4 @@
-"""Answers of a vision-language model, good ones and envelopes for them."""
+"""Answers of a vision-language model, good ones and Google's envelope for them."""
 
 from __future__ import annotations
 
@@ -42,17 +42,4 @@ def from_google(content: str | None, finish: str = "STOP") -> dict[str, Any]:
             "thoughtsTokenCount": 30,
         },
         "modelVersion": "the-model-001",
-    }
-
-
-def from_openai(content: str | None, finish: str = "stop", **message: Any) -> dict[str, Any]:
-    """Return what an OpenAI-compatible API sends around a text."""
-    said = {"role": "assistant", "content": content, **message}
-    return {
-        "id": "1",
-        "object": "chat.completion",
-        "created": 1,
-        "model": "the-model-001",
-        "choices": [{"index": 0, "message": said, "finish_reason": finish}],
-        "usage": {"prompt_tokens": 1000, "completion_tokens": 230, "total_tokens": 1230},
     }

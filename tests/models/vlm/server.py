@@ -82,19 +82,3 @@ def sends(body: Any, status: int = 200, share: float = 1.0, **headers: str) -> B
 def says_nothing(handler: BaseHTTPRequestHandler) -> None:
     """Take the request and wait."""
     time.sleep(2.0)
-
-
-def hangs_up(handler: BaseHTTPRequestHandler) -> None:
-    """Close the connection without a word."""
-
-
-def sends_for_ever(piece: bytes, pause: float = 0.0) -> Behaviour:
-    def behave(handler: BaseHTTPRequestHandler) -> None:
-        handler.send_response(200)
-        handler.send_header("content-type", "application/json")
-        handler.end_headers()
-        while True:
-            handler.wfile.write(piece)
-            time.sleep(pause)
-
-    return behave

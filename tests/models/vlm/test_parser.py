@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.models.vlm.request import parse
+from phase_ppl.models.vlm import parse
 from phase_ppl.world.errors import AnswerError
 from phase_ppl.world.goals import GOALS
 from tests.models.vlm.answers import SHARES, answer, goals, text
@@ -61,23 +61,22 @@ def shares_of(total: float) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    ("total", "remaining", "named", "other", "repair"),
+    ("total", "named", "other", "repair"),
     [
-        (0.96, "spread", 0.96, 0.04 / 26, "0.96; the rest spread over 26 goals"),
-        (0.96, "zero", 1, 0, "0.96; scaled to 1"),
-        (1.05, "spread", 1, 0, "1.05; scaled to 1"),
+        (0.96, 0.96, 0.04 / 26, "0.96; the rest spread over 26 goals"),
+        (1.05, 1, 0, "1.05; scaled to 1"),
     ],
 )
 def test_a_little_that_is_missing_or_too_much_is_shared_out(
-    total: float, remaining: str, named: float, other: float, repair: str
+    total: float, named: float, other: float, repair: str
 ) -> None:
-    found = parse(text(goal_red=shares_of(total)), remaining)
+    found = parse(text(goal_red=shares_of(total)))
     values = found.probabilities["goal_red"]
     assert values[:10] == pytest.approx(named * np.array(SHARES))
     assert values[10:] == pytest.approx(other)
     assert f"goal_red sums to {repair}" in found.repairs[0]
     # relations are scaled, since none is unnamed
-    found = parse(text(relation=relation(0.33, 0.33, 0.33)), remaining)
+    found = parse(text(relation=relation(0.33, 0.33, 0.33)))
     assert found.probabilities["relation"] == pytest.approx([1 / 3] * 3)
 
 
@@ -89,20 +88,10 @@ REFUSED: dict[str, tuple[str, str]] = {
     "a refusal": ("I'm sorry, I cannot help with that.", r"not JSON.*it begins \"I'm sorry"),
     "spaces for ever": ("```" + " " * 1_000_000 + "x", "not JSON"),  # in no time
     "cut": (text()[:200], "not JSON: line 1"),
-    "two fences": (f"```json\n{text()}\n```\nor\n```json\n{text()}\n```", "2 blocks of code"),
-    "a list": ("[1, 2]", "is no JSON object"),
     "nested deeply": ("[" * 100_000, "is no JSON object"),
     "NaN": (text().replace("0.4", "NaN", 1), "not JSON"),
-    "infinity": (text().replace("0.4", "1e999", 1), "out of range"),
     "a goal twice": (text().replace(GOALS[1], GOALS[0], 1), "two fields"),
-    "a goal twice in other letters": (
-        text(goal_red=renamed(GOALS[1].upper())),
-        f"goal_red gives '{GOALS[1]}' twice",
-    ),
-    "a question twice": (text(Goal_red=goals()), "gives goal_red twice"),
     "no relation": (text(relation=None), "lacks relation; it has 'goal_red', 'goal_green'"),
-    "nothing in it": ("{}", "lacks goal_red, goal_green, relation; it has nothing"),
-    "goals as a list": (text(goal_red=list(goals())), "goal_red is .*expected names with"),
     "nine goals": (
         text(goal_red=dict(list(goals().items())[1:])),
         "goal_red has 9 entries, expected exactly 10",
@@ -111,16 +100,9 @@ REFUSED: dict[str, tuple[str, str]] = {
         text(goal_red=renamed("Get blue ball to blue lm")),
         f"unknown goal 'Get blue ball to blue lm'; did you mean '{GOALS[0]}'",
     ),
-    "an unknown relation": (
-        text(relation=relation(0.5, 0.3, 0.2, "hostile")),
-        "unknown relation 'hostile'; allowed",
-    ),
-    "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
     "percent": (text(goal_red=goals() | {GOALS[0]: 40}), "has 40, expected a number from 0 to 1"),
-    "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
     "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),
     "relations beyond 1": (text(relation=relation(1, 0.5, 0)), "relation sums to 1.5"),
-    "half a character": (text(goal_red=renamed("\ud800")), "not JSON"),
 }
 
 

@@ -28,24 +28,21 @@ Reading changes them as follows:
 * Velocities are left out. In copies, those of agents were reflected like points, and those of items
   were not reflected.
 * The scene starts as in the first frame; ``turning`` is inferred from the angles.
-
-The processed form is written too (:func:`video`), for programs made for the authors' data. A video
-with the walls of a reflected layout counts as a reflected copy. It is then written like such
-copies, wrong velocities included, since readers of the authors' files correct these. Velocities are
-differences of the positions, per simulated second. The form cannot hold another arena, another
-start than the first frame, ``turning``, ``resets_velocity``, predictions, or judgments beyond the
-relation that most people saw.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import io
+import math
 import os
 import pickle
 import re
+import struct
+import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -53,28 +50,23 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.data.authors.pickles import read_pickle
-from phase_ppl.data.documents import converted, event_id
-from phase_ppl.data.events_json import Entries, check_start, strength_level
-from phase_ppl.data.generation.making import REFLECTIONS
-from phase_ppl.data.generation.situation import LAYOUTS
+from phase_ppl.data.documents import converted, event_id, reading_bytes, too_large
+from phase_ppl.data.events_json import Entries
 from phase_ppl.data.motion import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import InvalidEventError, shown
-from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
-from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
-from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
+from phase_ppl.world.event import Event, Observation, Truth
+from phase_ppl.world.goals import GOALS, literal_goal
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.names import Literal as GoalLiteral
-from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase
+from phase_ppl.world.scene import Scene
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
 sign 1 (to) or -1 (away from)."""
 
-ALPHA: Final = 10.0  # weight of the other's goal, in file names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
     r"(?P<stamp>.*?)(?P<between>_?)(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
@@ -85,7 +77,6 @@ _PARAMETERS: Final = re.compile(
 _BETWEEN: Final = "[^A-Za-z0-9-]+"
 _GOAL: Final = re.compile(rf"([A-Z]+){_BETWEEN}(\d+){_BETWEEN}(\d+){_BETWEEN}(-?1)(?!\d)")
 _STAMP: Final = re.compile(r"D\d{6}_\d{6,7}")
-_ID: Final = re.compile(r"(D\d{6}_\d{6,7})(\d)_E(\d+)(?:\.([0-3]))?")
 _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
@@ -165,51 +156,6 @@ def goal_string(goal: Goal, holder: int) -> str:
     else:
         raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
     return GOALS[literal_goal(literal)]
-
-
-def goal_numbers(goal: str, holder: int) -> Goal:
-    """Invert :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
-    literal = goal_literal(goal_index(goal), holder)
-    sign = 1 if literal.positive else -1
-    if literal.predicate is PredicateKind.TOUCH:
-        if literal.target == holder:
-            raise InvalidEventError(f"goal {goal!r} names its own holder, the {AGENTS[holder]}")
-        chaser, chased = (holder, 1 - holder) if literal.positive else (1 - holder, holder)
-        return "TE", chaser, chased, sign
-    if literal.subject >= BLUE_ITEM:
-        return "LMO", literal.subject - BLUE_ITEM, literal.target, sign
-    return "LMA", literal.subject, literal.target, sign
-
-
-def place_in_id(id: str) -> Place | None:
-    """Return the place in an id of the authors' recordings, else None."""
-    found = _ID.fullmatch(id)
-    if found is None:
-        return None
-    return Place(int(found[3]), None if found[4] is None else int(found[4]))
-
-
-def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
-    """Return a name from which :func:`parse_name` returns the same."""
-    found = _ID.fullmatch(id)
-    head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
-    parameters = alphas = ""
-    if truth is not None:
-        goals = "_".join(
-            str(list(goal_numbers(goal, holder)))
-            for holder, goal in enumerate(truth.goals.values())
-        )
-        red, green = map(strength_level, truth.strengths)
-        parameters = f"_G{goals}_ST{red}_{green}"
-        of_red = of_green = 0.0
-        if truth.scenario == "opposing":  # the agent that wants something to be false hinders
-            positive = goal_literal(goal_index(truth.goal_red), 0).positive
-            of_red, of_green = (0.0, -ALPHA) if positive else (-ALPHA, 0.0)
-        alphas = f"_R{of_red}_{of_green}"
-    name = f"{head}_F8_{place}{parameters}_A0_0_C0_0_MCTS_L{n_frames - 1}{alphas}.mp4"
-    if parse_name(name) != Recorded(id, place, truth):
-        raise InvalidEventError(f"{name!r} would not say all of its id, place and truth")
-    return name
 
 
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
@@ -320,7 +266,7 @@ def _averaged(track: FloatArray, wrapped: bool) -> FloatArray:
     return np.concatenate([rows[:1], means])
 
 
-# --- which body has which colour -------------------------------------------------------------
+# --- which body has which colour ------------------------------------------------------------------
 
 COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
 """The code of bodies that are ordered by colour."""
@@ -348,7 +294,7 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     )
 
 
-# --- angles of reflected copies --------------------------------------------------------------
+# --- angles of reflected copies -------------------------------------------------------------------
 
 _TURN: Final = 2 * np.pi
 _ROUNDING: Final = 1e-6
@@ -450,86 +396,236 @@ def _followed(
     return np.asarray(before[np.arange(len(states)), states] + _TURN * passed)
 
 
-# --- the processed form ----------------------------------------------------------------------
+# --- pickles of plain data ------------------------------------------------------------------------
+# Python's unpickler calls any function that a file names. This one has the opcodes of plain data
+# only, and a limited number of them. It knows the few names by which NumPy's arrays are described,
+# and replaces them by functions that build arrays of plain numbers. Arrays of objects are refused,
+# since they would hold a pickle of their own. At last, the result is measured as if written out.
 
-_COPIES: Final = tuple(REFLECTIONS.values())
-"""Reflections, in the order of their numbers in file names."""
+MAX_BYTES: Final = 256 * 2**20  # largest file that is read
+MAX_OPCODES: Final = 2_000_000  # most opcodes that are read, which takes some ten seconds
+MAX_NESTING: Final = 64  # deepest nesting of lists, tuples and dicts
 
-_PROTOCOL: Final = 3
-"""The newest protocol that every Python 3 reads and that names its modules in plain lines."""
+MAX_SIZE: Final = 20_000_000
+"""Most values, numbers in arrays and characters together; shared parts count every time."""
 
+MAX_COPIED: Final = 256 * 2**20
+"""Most bytes that are copied into arrays; a shared part may be copied again and again."""
 
-def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return the pickle of a list of videos; any version of NumPy loads it."""
-    # safe: no text of a video has a line break, and numbers in an arena never spell this
-    content = pickle.dumps(list(videos), _PROTOCOL)
-    return content.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
-
-
-def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form (InvalidEventError: it does not fit)."""
-    scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
-    check_is_phase(scene.world, "this format")
-    if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
-        raise InvalidEventError(
-            "its arena is not the original one, and the format has no place for it"
-        )
-    check_start(event)
-    place = _place(event)
-    for agent in range(len(AGENTS)) if place.is_diagonal else ():
-        angles = trajectory[:, agent, 2]
-        if not np.array_equal(repaired(angles, float(scene.radius[agent])), angles):
-            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
-    velocity = _velocity(trajectory, place.copy, scene)
-    rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
-    goals = [] if truth is None else truth.goals.values()
-    majority = (event.judgments or {}).get("majority")
-    return {
-        "name": file_name(event_id(event.id), place, truth, len(rows)),
-        "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
-        "entity_sizes": scene.radius.tolist(),
-        "entity_color_code": dict(COLOUR_CODE),
-        "physical_goals": [list(goal_numbers(goal, holder)) for holder, goal in enumerate(goals)],
-        "wall_segs": [[tuple(end) for end in wall] for wall in scene.walls.tolist()],
-        "landmark_centers": [tuple(centre) for centre in scene.landmark_centres.tolist()],
-        "social_goals": majority if majority in RELATIONS else None,
-    }
+_LONGEST_KEY: Final = 9  # longest tuple allowed as the key of a dict
+_NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
+_NO_NUMBERS: Final = "holds an array of something else than plain numbers"
+_NDARRAY: Final = object()  # represents the class of arrays
 
 
-def _place(event: Event) -> Place:
-    """Return the layout, reflected or not, with the event's walls; that of its id if it fits."""
-    lengths = event.scene.rooms.wall_length
-    in_id = place_in_id(event.id)
-    known = [Place(layout, copy) for copy in (None, 0, 1, 2, 3) for layout in LAYOUTS]
-    for place in sorted(known, key=lambda one: one != in_id):
-        if np.allclose(_lengths(place), lengths):
-            return place
-    raise InvalidEventError(
-        "its walls are those of no original layout, by whose number such files know them"
-    )
+def read_pickle(path: str | os.PathLike[str]) -> Any:
+    """Return what the pickle in the file ``path`` describes."""
+    with reading_bytes("a pickle"), open(path, "rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    return unpickled(content)
 
 
-def _lengths(place: Place) -> FloatArray:
-    """Return the lengths of the walls up, left, down and right, units."""
-    lengths = np.array(LAYOUTS[place.layout], np.float64)
-    if place.copy is None:
-        return lengths
-    matrix = _COPIES[place.copy].matrix
-    mirrored = np.empty_like(lengths)
-    mirrored[(RAY_DIRECTIONS @ matrix @ RAY_DIRECTIONS.T).argmax(axis=0)] = lengths
-    return mirrored
+def unpickled(content: bytes) -> Any:
+    """Return what a pickle describes. Errors as for :func:`read_pickle`."""
+    if len(content) > MAX_BYTES:
+        raise too_large(MAX_BYTES)
+    if not content:
+        raise InvalidEventError("is empty")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # for unknown escapes in texts of Python 2
+            loaded = _Reader(content).load()
+    except (InvalidEventError, MemoryError):
+        raise
+    except EOFError:
+        raise InvalidEventError("is damaged: the pickle ends too early") from None
+    except Exception:  # pickle can raise nearly any kind of error
+        raise InvalidEventError("is damaged: its pickle makes no sense") from None
+    if _size(loaded, {}) > MAX_SIZE:
+        raise InvalidEventError(f"is larger than the {MAX_SIZE} values that are read, written out")
+    return loaded
 
 
-def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatArray:
-    """Return (time, entity, 2) velocities as in recordings of that kind.
+def _size(value: Any, known: dict[int, int], depth: int = 0) -> int:
+    """Return the number of values, written out."""
+    if isinstance(value, str | bytes | bytearray):
+        return 1 + len(value)
+    if isinstance(value, np.ndarray):
+        return 1 + value.size
+    if value is None or isinstance(value, bool | int | float):
+        return 1
+    if not isinstance(value, list | tuple | dict):
+        raise InvalidEventError("holds a function or a class in place of data")
+    if depth > MAX_NESTING:
+        raise InvalidEventError(f"is nested more than {MAX_NESTING} deep, or in itself")
+    if id(value) not in known:
+        parts = [*value, *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_size(part, known, depth + 1) for part in parts)
+    return known[id(value)]
 
-    In copies, agents' velocities were reflected like points, about the line of the reflection.
-    Items' velocities were not reflected.
-    """
-    velocity = np.gradient(trajectory[..., :2], 1 / FRAMES_PER_SECOND, axis=0)
-    velocity[0] = 0.0  # at rest
-    if copy is not None:
-        matrix, n = _COPIES[copy].matrix, len(AGENTS)
-        velocity[:, :n] += scene.centre - matrix @ scene.centre
-        velocity[:, n:] = velocity[:, n:] @ matrix  # its own inverse
-    return velocity
+
+_Base: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the one whose opcodes can be chosen
+
+
+class _Reader(_Base):  # type: ignore[misc]
+    """Python's unpickler, limited to opcodes of plain data, with its own functions for arrays."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin-1")
+        self.dispatch = _Opcodes()
+        self._copied = 0
+        self._known: dict[tuple[str, str], Any] = {
+            ("numpy", "ndarray"): _NDARRAY,
+            ("numpy", "dtype"): self._dtype,
+            ("_codecs", "encode"): self._encode,
+            **dict.fromkeys((("__builtin__", "bytes"), ("builtins", "bytes")), lambda: b""),
+        }
+        for core in ("numpy.core", "numpy._core"):  # before and since NumPy 2
+            self._known[f"{core}.multiarray", "_reconstruct"] = self._reconstruct
+            self._known[f"{core}.multiarray", "scalar"] = self._scalar
+            self._known[f"{core}.numeric", "_frombuffer"] = self._from_buffer
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self._known:
+            raise InvalidEventError(
+                f"asks for {shown(f'{module[:60]}.{name[:60]}')}, which is refused: only dicts, "
+                "lists, tuples, texts, numbers and arrays of numbers are read"
+            )
+        return self._known[module, name]
+
+    # --- opcodes that differ from Python's
+
+    def load_build(self) -> None:
+        """Set the content of an array, or the byte order of a data type."""
+        state, made = self.stack.pop(), self.stack[-1]
+        if isinstance(made, np.dtype):
+            # the rest is about fields and nested arrays
+            plain = isinstance(state, tuple) and len(state) in (8, 9)
+            if not plain or state[1] not in tuple("<>|=") or state[2:5] != (None, None, None):
+                raise InvalidEventError(_NO_NUMBERS)
+            made.__setstate__((3, state[1], None, None, None, -1, -1, 0))  # type: ignore[attr-defined]
+        elif isinstance(made, np.ndarray):
+            shape, dtype, fortran, content = state[-4:]
+            raw = self._raw(content)
+            self._count(len(raw))
+            _check_array(raw, dtype, shape)
+            made.__setstate__((1, shape, dtype, fortran in (1, True), raw))  # type: ignore[arg-type]
+        else:
+            raise InvalidEventError("sets the state of what is no array")
+
+    def load_bytearray8(self) -> None:
+        (n,) = struct.unpack("<Q", self.read(8))
+        self.append(bytearray(self.read(n)))  # takes no more memory than the file has bytes
+
+    def load_setitem(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._set([key], [value])
+
+    def load_setitems(self) -> None:
+        items = self.pop_mark()
+        self._set(items[::2], items[1::2])
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        self.append({})
+        self._set(items[::2], items[1::2])
+
+    def _set(self, keys: list[Any], values: list[Any]) -> None:
+        """Put items into the dict on top of the stack; keys that take long to hash are refused."""
+        for key, value in zip(keys, values, strict=True):
+            parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
+            if any(
+                type(part) is not str and (type(part) is not int or abs(part) >= 2**64)
+                for part in parts
+            ):
+                raise InvalidEventError("has a dict whose keys are no texts or whole numbers")
+            self.stack[-1][key] = value
+
+    # --- functions that build arrays, called with anything that a file says
+
+    def _raw(self, content: Any) -> bytes:
+        """Return bytes; Python 2 and old protocols wrote them as a text."""
+        if isinstance(content, bytes):
+            return content
+        if not isinstance(content, str | bytearray):
+            raise InvalidEventError(_NO_NUMBERS)
+        self._count(len(content))
+        return content.encode("latin-1") if isinstance(content, str) else bytes(content)
+
+    def _count(self, n: int) -> None:
+        self._copied += n
+        if self._copied > MAX_COPIED:
+            raise InvalidEventError("becomes too large: it shares long texts or arrays")
+
+    def _encode(self, text: str, codec: str) -> bytes:
+        if codec not in ("latin1", "latin-1"):
+            raise ValueError(codec)
+        return self._raw(text)
+
+    def _dtype(self, spelling: str, *_: Any) -> np.dtype[Any]:
+        if not isinstance(spelling, str) or not _NUMBERS.fullmatch(spelling):
+            raise InvalidEventError(_NO_NUMBERS)
+        return np.dtype(spelling, copy=True)  # whose byte order may still be set
+
+    def _reconstruct(self, kind: Any, shape: Any, letter: Any) -> NDArray[Any]:
+        if kind is not _NDARRAY:
+            raise ValueError(kind)
+        return np.empty(0)
+
+    def _scalar(self, dtype: Any, content: Any) -> Any:
+        return self._from_buffer(content, dtype, (), "C").item()
+
+    def _from_buffer(
+        self, content: Any, dtype: Any, shape: Any, order: str, axes: Any = None
+    ) -> NDArray[Any]:
+        """Return an array in the order "C", "F" or "K"; "K" follows a given order of the axes."""
+        raw = self._raw(content)
+        _check_array(raw, dtype, shape)
+        flat = np.frombuffer(raw, dtype) if raw else np.empty(0, dtype)
+        array = flat.reshape(shape, order="F" if order == "F" else "C")
+        return array if axes is None else array.transpose(axes)
+
+
+def _check_array(raw: bytes, dtype: Any, shape: Any) -> None:
+    if not isinstance(dtype, np.dtype):
+        raise InvalidEventError(_NO_NUMBERS)
+    if not isinstance(shape, tuple) or not all(type(n) is int and 0 <= n < 2**31 for n in shape):
+        raise InvalidEventError("holds an array of an impossible shape")
+    if math.prod(shape) * dtype.itemsize != len(raw):
+        raise InvalidEventError(f"holds an array of shape {shape} in {len(raw)} bytes")
+
+
+_PLAIN: Final = (
+    *("PROTO", "FRAME", "MARK", "STOP", "POP", "POP_MARK", "DUP", "MEMOIZE"),
+    *("GET", "BINGET", "LONG_BINGET", "PUT", "BINPUT", "LONG_BINPUT"),
+    *("NONE", "NEWTRUE", "NEWFALSE", "FLOAT", "BINFLOAT"),
+    *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4"),
+    *("STRING", "BINSTRING", "SHORT_BINSTRING"),
+    *("UNICODE", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8"),
+    *("SHORT_BINBYTES", "BINBYTES", "BINBYTES8", "BYTEARRAY8"),
+    *("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
+    *("EMPTY_LIST", "LIST", "APPEND", "APPENDS"),
+    *("EMPTY_DICT", "DICT", "SETITEM", "SETITEMS"),
+    *("GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD"),
+)
+
+
+class _Opcodes(dict[int, Callable[[_Reader], None]]):
+    """The functions of the allowed opcodes, by code; counts how often they are asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in _PLAIN:
+            code = getattr(pickle, name)[0]
+            self[code] = getattr(_Reader, f"load_{name.lower()}", _Base.dispatch[code])
+        self._left = MAX_OPCODES
+
+    def __getitem__(self, code: int) -> Callable[[_Reader], None]:
+        self._left -= 1
+        if self._left < 0:
+            raise InvalidEventError(f"has more than {MAX_OPCODES} opcodes")
+        if code not in self:
+            raise InvalidEventError(
+                f"is damaged, or holds an object of a class, refused: opcode {bytes([code])!r}"
+            )
+        return super().__getitem__(code)

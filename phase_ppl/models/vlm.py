@@ -1,4 +1,6 @@
-"""Requests to a vision-language model, its replies, and how answers are read.
+"""A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro").
+
+Requests, replies, how answers are read, and Google's service.
 
 Answers are read strictly. Unambiguous faults are repaired, and every repair is noted; anything else
 is refused. Four faults are repaired: a code fence around the object, case and spaces in names,
@@ -13,6 +15,7 @@ import functools
 import hashlib
 import io
 import json
+import os
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -26,6 +29,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
+    InvalidSettingError,
     number_or_nan,
     shown,
     unknown_name,
@@ -40,10 +44,6 @@ from phase_ppl.world.scene import Scene
 QUESTIONS: Final = {"goal_red": GOALS, "goal_green": GOALS, "relation": RELATIONS}
 
 N_NAMED: Final = 10  # goals that an answer names for each agent
-
-REMAINING: Final = ("spread", "zero")
-"""Treatment of probability that an answer gives to no goal. "spread": evenly over the goals that it
-does not name. "zero": left out, and the named goals are scaled to sum 1."""
 
 _EXCERPT: Final = 200  # characters of a line about a request, at most
 _SUM_TOLERANCE: Final = 0.05
@@ -221,7 +221,7 @@ class Reply:
     text: str  # as it came; empty where there is none
     finish: str | None = None  # why the text ends there, in the service's words
     model: str | None = None  # what answered, in the service's words, such as a version
-    # tokens, as the service counts them; None: not given, or no whole number
+    # tokens, as the service counts them; None: not given
     tokens_in: int | None = None
     tokens_out: int | None = None
     requests: int = 1  # how many were made until it came
@@ -230,13 +230,6 @@ class Reply:
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
-        # servers may send fields of any type: one must not cost the answer
-        for name in ("finish", "model"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, None if given is None else str(given))
-        for name in ("tokens_in", "tokens_out"):
-            count = number_or_nan(getattr(self, name))
-            object.__setattr__(self, name, int(count) if count.is_integer() else None)
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
@@ -285,8 +278,10 @@ class Parsed(NamedTuple):
     repairs: tuple[str, ...]  # what was done to read it, a line each
 
 
-def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
-    """Return the probabilities that an answer gives; ``remaining`` is one of :data:`REMAINING`.
+def parse(text: str) -> Parsed:
+    """Return the probabilities that an answer gives.
+
+    What it gives to no goal is spread evenly over the goals that it does not name.
 
     Raises:
         AnswerError: it has a fault that is not repaired.
@@ -298,7 +293,7 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     except InvalidEventError as error:
         raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
     answers = _asked_for(document, repairs)
-    probabilities = {q: _distribution(q, answers[q], remaining, repairs) for q in QUESTIONS}
+    probabilities = {q: _distribution(q, answers[q], repairs) for q in QUESTIONS}
     return Parsed(probabilities, tuple(repairs))
 
 
@@ -343,7 +338,7 @@ def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | 
     return name
 
 
-def _distribution(question: str, shares: object, remaining: str, repairs: list[str]) -> FloatArray:
+def _distribution(question: str, shares: object, repairs: list[str]) -> FloatArray:
     labels = QUESTIONS[question]
     if not isinstance(shares, Mapping):
         raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
@@ -371,8 +366,178 @@ def _distribution(question: str, shares: object, remaining: str, repairs: list[s
         raise AnswerError(f"{question} sums to {total:.4g}, expected 1")
     if off > _SUM_EXACT:
         done = "scaled to 1"
-        if total < 1 and remaining == "spread" and unnamed.any():
+        if total < 1 and unnamed.any():
             values[unnamed] = (1 - total) / unnamed.sum()
             done = f"the rest spread over {unnamed.sum()} goals"
         repairs.append(f"{question} sums to {total:.4g}; {done}")
     return np.asarray(values / values.sum())
+
+
+# --- Google's service, through its own library, google-genai --------------------------------------
+# The library retries temporary failures, and asks for JSON. The key is read from the environment
+# when a request is made, goes to the library alone, and is hidden in replies. Redirections are not
+# followed, since they would take the request along.
+
+LIBRARY: Final = "google.genai"  # the module that is needed
+MODEL: Final = "gemini-2.5-pro"  # the paper's
+BASE_URL: Final = "https://generativelanguage.googleapis.com"
+VARIABLES: Final = ("GOOGLE_API_KEY", "GEMINI_API_KEY")
+"""Environment variables that may hold the key; the first that does counts."""
+
+FIRST_WAIT: Final = 4.0
+LONGEST_WAIT: Final = 120.0
+"""First and longest wait before a retry, seconds; waits double."""
+
+_MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
+_SECRET_LENGTH: Final = 12
+"""Shorter keys are no secrets; hiding them would spoil the answers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Google:
+    """Google's service.
+
+    Raises:
+        InvalidSettingError: an option is out of range, or does not go with what is shown.
+    """
+
+    model: str = MODEL  # as the service calls it
+    show: str = "video"  # or "pictures"
+    timeout: float = 300.0  # seconds to wait for an answer, or for its next piece
+    temperature: float | None = None  # None: the service decides
+    video_fps: float | None = None  # frames of the video that are looked at, per second; likewise
+    base_url: str = BASE_URL
+
+    def __post_init__(self) -> None:
+        for option, most in _MOST.items():
+            number, may_be_0 = getattr(self, option), option == "temperature"
+            if number is None:
+                continue
+            value = number_or_nan(number)
+            if not (0 < value <= most or (value == 0 and may_be_0)):
+                raise InvalidSettingError(
+                    f"{option}={shown(number)}, expected a number "
+                    f"{'>=' if may_be_0 else '>'} 0 and <= {most:g}"
+                )
+            object.__setattr__(self, option, value)
+        if self.video_fps is not None and self.show == "pictures":
+            raise InvalidSettingError("video_fps is for the video, but show='pictures'")
+
+    def __call__(self, request: Request, retries: int = 0) -> Reply:
+        """Return the answer to a request, made again by the library up to ``retries`` times.
+
+        Raises:
+            NoReply: there is no answer.
+            InvalidSettingError: there is no key, or it is refused; or there is no such model.
+        """
+        key = self._key()
+        _ = request.video if self.show == "video" else request.pictures  # that fails by itself
+        failure: NoReply | InvalidSettingError
+        made: list[Any] = []  # requests, by the library's own count
+        client = {"follow_redirects": False, "event_hooks": {"request": [made.append]}}
+        try:
+            reply = _asked(self, request, retries, key, client)
+        except Exception as error:
+            try:
+                failure = self._failure(error, key)
+            except Exception:  # a library's error that has no words
+                failure = NoReply(type(error).__name__)
+        else:
+            parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
+            return Reply(**parts | {"requests": len(made)})
+        if isinstance(failure, NoReply):
+            failure.requests = max(1, len(made))
+        raise failure  # from here it has no context, which would hold the request with its key
+
+    def named(self) -> dict[str, Any]:
+        """Return what determines the answers, as plain data."""
+        fields = ("model", "base_url", "show", "temperature", "video_fps")
+        given = {field: getattr(self, field) for field in fields}
+        return {"client": "google", **given, "answer": "json"}
+
+    def _key(self) -> str:
+        for variable in VARIABLES:
+            key = os.environ.get(variable, "").strip()
+            if key and not (key.isascii() and key.isprintable()):
+                raise InvalidSettingError(
+                    f"the key in {variable} has characters that no key can have"
+                )
+            if key:
+                return key
+        raise InvalidSettingError(
+            f"client 'google' needs its key in the environment variable {' or '.join(VARIABLES)}"
+        )
+
+    def _failure(self, error: Exception, key: str) -> NoReply | InvalidSettingError:
+        """Return an error of the library, or of what came, as one of ours."""
+        status = getattr(error, "code", None)
+        if not isinstance(status, int):
+            cause = error.__cause__ or error
+            # pydantic's words have pieces of what was sent
+            words = "an answer of another form" if hasattr(cause, "error_count") else str(cause)
+            return NoReply(_line(f"{type(cause).__name__}: {words}", key), again=True)
+        where = f"{self.base_url} answers HTTP {status}"
+        # the words of such answers like to repeat part of the key
+        if status in (401, 403) or "API_KEY_INVALID" in str(getattr(error, "details", "")):
+            return InvalidSettingError(f"{where}: the key in {' or '.join(VARIABLES)} is refused")
+        words = _line(str(getattr(error, "message", None)), key)
+        if status == 404:
+            return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
+        return NoReply(f"HTTP {status}: {words}")  # the library has tried again where that helps
+
+
+def _hidden(given: Any, key: str) -> Any:
+    """Return ``given``, if it is a text, without the key."""
+    secret = isinstance(given, str) and len(key) >= _SECRET_LENGTH
+    return given.replace(key, "[key]") if secret else given
+
+
+def _line(words: str, key: str) -> str:
+    # hidden before shortening, which could leave half of the key
+    return in_a_line(_hidden(words, key))
+
+
+def _asked(
+    service: Google, request: Request, retries: int, key: str, client: dict[str, Any]
+) -> Reply:
+    from google import genai
+    from google.genai import types
+
+    options = types.HttpOptions(
+        base_url=service.base_url,
+        timeout=round(1000 * service.timeout),
+        retry_options=types.HttpRetryOptions(
+            attempts=retries + 1, initial_delay=FIRST_WAIT, max_delay=LONGEST_WAIT
+        ),
+        client_args=client,
+    )
+    config = types.GenerateContentConfig(
+        temperature=service.temperature, response_mime_type="application/json"
+    )
+    parts: list[Any] = []
+    if service.show == "video":
+        chosen = types.VideoMetadata(fps=service.video_fps) if service.video_fps else None
+        blob = types.Blob(data=request.video, mime_type="video/mp4")
+        parts.append(types.Part(inline_data=blob, video_metadata=chosen))
+    else:
+        for picture in request.pictures:
+            parts.append(types.Part.from_text(text=f"{picture.seconds:g} s"))
+            parts.append(types.Part.from_bytes(data=picture.png, mime_type="image/png"))
+    parts.append(types.Part.from_text(text=request.prompt))
+    with genai.Client(api_key=key, vertexai=False, http_options=options) as asked:
+        found = asked.models.generate_content(model=service.model, contents=parts, config=config)
+    usage, finish = found.usage_metadata, None
+    if found.candidates:
+        finish = getattr(found.candidates[0].finish_reason, "value", None)
+    elif found.prompt_feedback:
+        finish = f"blocked: {getattr(found.prompt_feedback.block_reason, 'value', None)}"
+    # thinking is paid for too, even if it used up the limit
+    counts = (usage.candidates_token_count, usage.thoughts_token_count) if usage else ()
+    written = [count for count in counts if count is not None]
+    return Reply(
+        text=found.text or "",
+        finish=finish,
+        model=found.model_version,
+        tokens_in=usage.prompt_token_count if usage else None,
+        tokens_out=sum(written) if written else None,
+    )

@@ -1,1 +1,0 @@
-"""A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro")."""
