@@ -55,7 +55,6 @@ from phase_ppl.evaluation.comparison import compare_models as compare_models
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
-from phase_ppl.evaluation.evaluation import reference_evaluation as reference_evaluation
 from phase_ppl.evaluation.experiments import Likeness as Likeness
 from phase_ppl.evaluation.experiments import Tags as Tags
 from phase_ppl.evaluation.experiments import load_likeness as load_likeness
@@ -66,7 +65,6 @@ from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
-from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.prediction import pairs_of as pairs_of

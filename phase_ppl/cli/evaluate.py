@@ -13,14 +13,11 @@ from phase_ppl.cli import users_parts
 from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line, report_hint
 from phase_ppl.world.errors import AnswerError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
     from phase_ppl.evaluation.evaluation import Evaluation
-
-AGAINST: Final = "against.json"
-"""The file in the folder of results with the differences from another model."""
 
 PAGES: Final = "pages"  # the folder of the pages, one per event, of a comparison
 _PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # names of pages (``entry_name``)
@@ -28,7 +25,7 @@ _PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # names of pages (``entry_name``)
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that are options of the command."""
 
-_SHOWS: Final = ("out", "against", "workers", "progress", "no_figures", "run", "executor")
+_SHOWS: Final = ("out", "workers", "progress", "no_figures", "run", "executor")
 """Options that are allowed when a stored evaluation is shown again."""
 
 
@@ -36,8 +33,7 @@ def evaluate(options: Options) -> int:
     """Ask a model about many events, and score its answers.
 
     The longest events come first. Without EVENTS, the evaluation in --out is read and shown
-    again; --against then compares it. The last options are the model's; with several models,
-    they go to all that take them.
+    again. The last options are the model's; with several models, they go to all that take them.
 
     Args:
         [EVENTS]: an event file, a folder of event files, or a bundled event's name
@@ -53,9 +49,7 @@ def evaluate(options: Options) -> int:
         $cluster
         $seed
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
-        --against NAME: results of another model, or a model whose predictions the events carry, for
-            paired differences; written to against.json. With several models: the one to compare the
-            others with; default: every pair
+        --against NAME: of several models the one to compare the others with; default: every pair
         $stored
         --no-figures: draw no figures and pages
         $progress
@@ -87,13 +81,10 @@ def evaluate(options: Options) -> int:
         print(f"people: {options.judgments}")
     if labelled:
         _check_several(options, events, models, of_models)
-    else:
-        from phase_ppl.evaluation.evaluation import opponent
-
-        if options.stored:
-            raise InvalidSettingError("--stored is for several models; --against compares with one")
-        if options.against is not None:  # its errors come before the model is asked
-            opponent(events[: options.limit], options.against)
+    elif options.stored or options.against is not None:
+        raise InvalidSettingError(
+            "--stored and --against are for several models; compare-models compares folders"
+        )
     if options.out is not None:
         writable_folder(options.out)
 
@@ -126,7 +117,7 @@ def evaluate(options: Options) -> int:
         if evaluation.folder is not None:
             code = _drawn(evaluation, evaluation.folder.path, options, named) or code
     if not labelled:
-        _end_of_one(evaluation, options)
+        _say_where(None if evaluation.folder is None else evaluation.folder.path)
         return code
     stored = _references(options)
     comparison = phase_ppl.compare_models(found, stored=stored, against=options.against)
@@ -178,21 +169,8 @@ def _show_again(options: Options) -> int:
         )
     found = phase_ppl.Evaluation.load(options.out)
     print(found)
-    _end_of_one(found, options)
+    _say_where(options.out)
     return FAILED if found.failures else 0
-
-
-def _end_of_one(found: Evaluation, options: Options) -> None:
-    """Print where an evaluation is stored, and how it differs from another."""
-    from phase_ppl.evaluation.evaluation import difference_table
-
-    _say_where(None if found.folder is None else found.folder.path)
-    if options.against is None:
-        return
-    difference = found.against(options.against)
-    print(f"\n{difference_table(difference)}")
-    if found.folder is not None:
-        write_json(found.folder.path / AGAINST, difference)
 
 
 def _say_where(folder: Path | None) -> None:

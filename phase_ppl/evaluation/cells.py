@@ -111,7 +111,7 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 def metric_tables(
     models: Sequence[Row], people: Mapping[str, Any] | None = None
 ) -> Iterator[Table]:
-    """Yield all tables of models' metrics, or of their differences.
+    """Yield all tables of models' metrics.
 
     Below them come people, where there are any
     (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
@@ -257,6 +257,4 @@ def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
         return str(found)
     if found is not None and "accuracy" in found:
         return f"{measure_text(found['accuracy'])} of {found['n']}"
-    if found is not None and "p" in found:
-        return f"{measure_text(found, signed=True)} p {p_text(found['p'])}"
     return measure_text(found)

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import math
 import os
 import re
@@ -40,7 +39,6 @@ from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, o
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
-    paired_difference,
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions, until_moments
@@ -63,7 +61,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import refusing, writable_folder, write_json
-from phase_ppl.world.identity import differences, event_digest
+from phase_ppl.world.identity import differences
 from phase_ppl.world.picture import Printed, plain
 
 if TYPE_CHECKING:
@@ -216,28 +214,6 @@ class Evaluation(Printed):
         cost = cost_of(predictions, *folder.last_call())
         return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
 
-    def against(self, other: Evaluation | str | os.PathLike[str]) -> dict[str, Any]:
-        """Return paired differences between this model and another, on events that both predict.
-
-        Args:
-            other: an evaluation, the folder of one, or the name of a model whose predictions
-                the events carry.
-
-        Returns:
-            ``one`` and ``other``, names of the models, and the result of
-            :func:`~phase_ppl.evaluation.metrics.paired_difference`, in JSON's types.
-
-        Raises:
-            InvalidEventError: there is no such folder; or an event differs between the two.
-            InvalidSettingError: ``other`` is none of these; or there is no event that both
-                predict.
-        """
-        name, predictions = opponent(self.events, other)
-        if not set(predictions) & set(self.predictions):
-            raise InvalidSettingError(f"there is no event that {self.name} and {name} both predict")
-        found = paired_difference(self.events, self.predictions, predictions)
-        return {"one": self.name, "other": name, **plain(found)}
-
     @property
     def name(self) -> str:
         """Name of the model."""
@@ -287,26 +263,6 @@ def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluatio
     return Evaluation.load(source)
 
 
-def opponent(
-    events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
-) -> tuple[str, Mapping[str, Prediction]]:
-    """Return name and predictions of the other model of a comparison."""
-    references = reference_predictions(events)
-    if isinstance(other, str) and other in references:
-        return other, references[other]
-    found = evaluation_of(other, references)
-    mine = {event.id: event for event in events}
-    for event in found.events:
-        if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
-            raise InvalidEventError(
-                f"event {event.id!r} is not the same in both evaluations: its scene or "
-                "observation differ"
-            )
-    if not any(event.id in found.predictions for event in events):
-        raise InvalidSettingError(f"{found.name} predicts none of the {len(events)} events")
-    return found.name, found.predictions
-
-
 def cost_of(
     predictions: Mapping[str, Prediction], workers: int | None, wall_seconds: float | None
 ) -> dict[str, Any]:
@@ -323,38 +279,6 @@ def cost_of(
         "wall_seconds": wall_seconds,
         "events": each,
     }
-
-
-def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
-    """Return the answers of a reference model as if it had been evaluated on the events.
-
-    The result has no seed, no times and no folder. Events without an answer of the model are in
-    ``failures``.
-
-    Args:
-        events: with their predictions (:mod:`phase_ppl.evaluation.prediction`).
-        name: of the model, as the events call it.
-
-    Raises:
-        UnknownNameError: no event has a prediction of that model.
-        InvalidEventError: a prediction cannot be read.
-    """
-    references = reference_predictions(events)
-    check_name("reference model", name, references)
-    predictions = references[name]
-    settings = {
-        "model": name,
-        "reference": True,
-        "seed": None,
-        "events": {event.id: event_digest(event) for event in events},
-    }
-    failures = {
-        event.id: f"the event carries no prediction of {name}"
-        for event in events
-        if event.id not in predictions
-    }
-    cost = cost_of(predictions, None, None)
-    return Evaluation(list(events), predictions, failures, settings, cost)
 
 
 # --- kept -----------------------------------------------------------------------------------------
@@ -561,16 +485,6 @@ def holds_predictions(folder: Path) -> bool:
 
 
 # --- printed --------------------------------------------------------------------------------------
-
-
-def difference_table(found: Mapping[str, Any]) -> str:
-    """Return the table of differences that ``Evaluation.against`` found."""
-    head = wrapped(
-        f"{found['one']} minus {found['other']}: on the {found['n_events']} events that both "
-        "predict; intervals and p from resampled events"
-    )
-    tables = (table.lines() for table in metric_tables([("difference", found)]))
-    return "\n".join([*head, *itertools.chain(*tables)])
 
 
 def _first(texts: Sequence[str], what: str) -> list[str]:

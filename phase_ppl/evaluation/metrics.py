@@ -154,30 +154,6 @@ def reference_models(
     return {name: scores.metrics(given) for name, given in reference_predictions(events).items()}
 
 
-def paired_difference(
-    events: Sequence[Event],
-    one: Mapping[str, Prediction],
-    other: Mapping[str, Prediction],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
-) -> dict[str, Any]:
-    """Return the paired differences of scores, ``one`` minus ``other``.
-
-    Both have the same resamples of events. Only questions that both answer count, event by event.
-
-    Returns:
-        ``n_events``, the events that both predict, and every measure of
-        :func:`evaluate_predictions` that is about the model, in the same place, as
-        ``{"value", "ci_low", "ci_high", "p"}``: one minus other, and a two-sided bootstrap p.
-        Lower is better for ``js``, higher for everything else.
-
-    Raises:
-        As :func:`evaluate_predictions`.
-    """
-    return Scores(events, seed=seed, resamples=resamples).difference(one, other)
-
-
 class Scores:
     """Metrics of several models and their differences, on the same resamples of events.
 
@@ -225,20 +201,14 @@ class Scores:
         result["ties"] = count_ties(answers, "probability")
         return result
 
-    def difference(
-        self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
-    ) -> dict[str, Any]:
-        """Return the differences, as :func:`paired_difference`."""
-        answers, found = self.differences(one, other)
-        result: dict[str, Any] = {"n_events": len(answers.events)}
-        put(result, found)
-        count_scenarios(result, answers.scenarios)
-        return result
-
     def differences(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> tuple[Answers, dict[Place, Measure | None]]:
-        """Return the answers of ``one`` about the events that both predict, and all differences."""
+        """Return the answers of ``one`` about the events that both predict, and all differences.
+
+        Only questions that both answer count, event by event. A difference is one minus other, with
+        a two-sided bootstrap p. Lower is better for ``js``, higher for everything else.
+        """
         first, second = self._answers(one).about(other), self._answers(other).about(one)
         of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
         places: dict[Place, int] = {}  # parts of the metrics stay together

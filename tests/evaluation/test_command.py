@@ -149,20 +149,6 @@ def test_ctrl_c_says_how_to_go_on_and_resume_does(capsys: Capture) -> None:
     assert error.endswith("with other settings: model is 'right', was 'stops_once'\n")
 
 
-def test_against_compares_with_another_folder_also_later(capsys: Capture) -> None:
-    other = Path("other")
-    assert evaluate(EVENTS, "--model", "wrong", "--out", other, "--no-figures") == 0
-    now = (EVENTS, "--model", "right", *QUICK, "--against", other)
-    later = ("--out", other, "--against", OUT)
-    for given, said, folder, value in (
-        (now, "right minus wrong: on the 3 events", OUT, 1),
-        (later, "wrong minus right", other, -1),
-    ):
-        assert evaluate(*given) == 0
-        assert said in capsys.readouterr().out
-        assert read("against.json", folder)["relation_accuracy"]["value"] == value
-
-
 def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Capture) -> None:
     folder = make_folder(OUT)
     folder.add(prediction("one"), with_posterior)
@@ -243,8 +229,7 @@ def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_the
         ("EVENTS --option size", "NAME=VALUE"),
         ("EVENTS --resume", "--resume needs --out"),
         ("EVENTS --model right --judgments nowhere.csv", "nowhere.csv: no such file"),
-        ("EVENTS --model stops --against nowhere", "nowhere: no such folder"),
-        ("EVENTS --model right --stored theirs", "--stored is for several models"),
+        ("EVENTS --model stops --against right", "--stored and --against are for several models"),
         # of several models
         ("EVENTS --model right --model rigth", "'right'"),
         ("BOTH --option wrong.size=2", "wrong"),

@@ -385,30 +385,6 @@ def test_judgments_from_a_file_take_the_place_of_those_in_the_events(tmp_path: P
         evaluate(EVENTS[1:], judgments=file)
 
 
-# --- two models --------------------------------------------------------------------------------
-
-
-def test_differences_are_paired_over_events_that_both_have_seen(tmp_path: Path) -> None:
-    one = evaluate([dataclasses.replace(e, predictions={"rival": WRONG}) for e in EVENTS[:3]])
-    two = evaluate(EVENTS[1:], wrong, out=tmp_path)
-    found = one.against(tmp_path)
-    assert (found["one"], found["other"], found["n_events"]) == ("right", "wrong", 2)
-    # the wrong one names the green agent's goal for red, and no goal for green
-    assert values(found, "goal_accuracy", "relation_accuracy") == [1, 1]
-    assert values(two.against(one), "relation_accuracy") == [-1]
-    json.dumps(found, allow_nan=False)
-    assert values(one.against("rival"), "relation_accuracy") == [1]
-    others: list[tuple[Any, type[Exception], str]] = [
-        ("rivla", InvalidEventError, r"rivla: no such folder.*\(rival\)"),
-        (evaluate(EVENTS[3:]), InvalidSettingError, "right predicts none of the 3 events"),
-        (evaluate([still("a", shift=0.7)]), InvalidEventError, "'a' is not the same in both"),
-        (3, InvalidSettingError, "3 is neither an evaluation"),
-    ]
-    for other, error, message in others:
-        with pytest.raises(error, match=message):
-            one.against(other)
-
-
 # --- what is shown -----------------------------------------------------------------------------
 
 

@@ -23,7 +23,6 @@ from phase_ppl.evaluation.differences import _tested
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
-    paired_difference,
     participant_accuracy,
 )
 from phase_ppl.evaluation.prediction import Prediction
@@ -41,6 +40,7 @@ from tests.evaluation.judged import (
     PINK_TO_BLUE,
     answers,
     by_id,
+    differences,
     make_event,
     shares,
     values,
@@ -279,11 +279,15 @@ def test_what_cannot_be_is_refused(given: Any, error: type[Exception], message: 
 
 def test_difference_is_that_of_the_two_figures() -> None:
     better = {**ANSWERS, "c": answers("c", *COMPETING, relation="adversarial")}
-    found = paired_difference(EVENTS, better, ANSWERS)
-    assert (found["n_events"], found["by_scenario"]["collaborative"]["n"]) == (4, 2)
-    places = ("goal_accuracy", "relation_accuracy", "by_scenario.competing.goal_accuracy")
-    assert values(found, *places) == pytest.approx([1 / 8, 1 / 4, 1 / 2])
-    back = paired_difference(EVENTS, ANSWERS, better)["goal_accuracy"]
+    found = differences(EVENTS, better, ANSWERS)
+    for place, value, n in (
+        ("goal_accuracy", 1 / 8, 4),
+        ("relation_accuracy", 1 / 4, 4),
+        ("competing.goal_accuracy", 1 / 2, 1),
+        ("collaborative.goal_accuracy", 0, 2),
+    ):
+        assert (found[place]["value"], found[place]["n_events"]) == pytest.approx((value, n))
+    back = differences(EVENTS, ANSWERS, better)["goal_accuracy"]
     assert back["value"] == -found["goal_accuracy"]["value"]
     assert back["ci_low"] == pytest.approx(-found["goal_accuracy"]["ci_high"])
     assert back["p"] == found["goal_accuracy"]["p"]
@@ -295,19 +299,19 @@ def test_difference_is_paired() -> None:
         by_id(*(answers(str(i), red, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20)))
         for red in (BLUE_TO_RED, PINK_TO_BLUE)
     )
-    found = paired_difference(alike(20), one, other, resamples=999)["goal_accuracy"]
+    found = differences(alike(20), one, other, resamples=999)["goal_accuracy"]
     assert found["value"] == pytest.approx(0.5)
     # two further events could speak for either side
     assert (found["ci_low"], found["ci_high"]) == pytest.approx((7 / 22, 13 / 22))
     assert found["p"] < 0.01
-    equal = paired_difference(EVENTS, ANSWERS, ANSWERS)["goal_accuracy"]
+    equal = differences(EVENTS, ANSWERS, ANSWERS)["goal_accuracy"]
     assert (equal["value"], equal["p"]) == (0, 1)
     assert equal["ci_low"] == -equal["ci_high"] < 0
 
 
 def test_p_is_small_only_where_the_difference_is_clear() -> None:
     clear, unclear = (
-        paired_difference(alike(30), relations(30, right), relations(30, 0))["relation_accuracy"]
+        differences(alike(30), relations(30, right), relations(30, 0))["relation_accuracy"]
         for right in (12, 2)
     )
     assert clear["p"] < 0.01 < 0.2 < unclear["p"]
@@ -316,7 +320,7 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
     for n, least in ((2, 1 / 2), (3, 1 / 4), (5, 1 / 16)):
         for right in (0, n):
             one, other = relations(n, right), relations(n, n - right)
-            assert paired_difference(alike(n), one, other)["relation_accuracy"]["p"] == least
+            assert differences(alike(n), one, other)["relation_accuracy"]["p"] == least
 
 
 def test_difference_is_over_what_both_answer() -> None:
@@ -326,11 +330,11 @@ def test_difference_is_over_what_both_answer() -> None:
         answers("b", PINK_TO_BLUE, BLUE_TO_RED),
         answers("c", *COMPETING),
     )
-    found = paired_difference(EVENTS, one, other)
+    found = differences(EVENTS, one, other)
     # red's goal in a (both right) and in b (one right, other wrong)
-    assert found["n_events"] == 2
-    assert values(found, "goal_accuracy", "relation_accuracy") == [1 / 2, None]
-    assert paired_difference(EVENTS, one, {})["goal_accuracy"] is None
+    assert (found["goal_accuracy"]["value"], found["goal_accuracy"]["n_events"]) == (1 / 2, 2)
+    assert "relation_accuracy" not in found
+    assert differences(EVENTS, one, {}) == {}
 
 
 # --- intervals and tests against the binomial law, summed over all that can come out --------------
