@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias, TypeVar, cast
+from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import msgspec
 
@@ -29,9 +29,6 @@ T = TypeVar("T")
 MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _FAULTS_SHOWN: Final = 8
-_QUALTRICS: Final = '{"ImportId"'
-"""Begin of the cells of Qualtrics' third line."""
-
 _PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
 """The first bytes of pickles; JSON never has them."""
 
@@ -236,9 +233,6 @@ class Faults:
         raise kind("; ".join(said))
 
 
-Keep: TypeAlias = Literal["refuse", "first", "last"]
-"""What becomes of rows that are there a second time: all are refused, or one counts."""
-
 Cells: TypeAlias = list[tuple[int, list[str]]]
 """The rows of a table that are not empty, each with its line, the header first."""
 
@@ -248,7 +242,6 @@ def read_rows(
     check: Callable[[dict[str, str]], dict[str, Any]],
     check_header: Callable[[list[str]], None],
     once: Sequence[str],
-    keep: Keep | None = None,
 ) -> list[dict[str, Any]]:
     """Return the checked rows of a CSV file; an error names the file and all faults.
 
@@ -259,11 +252,10 @@ def read_rows(
         check: turns a row, column -> cell, into the result for that row.
         check_header: is called with the names of the columns.
         once: columns whose values together must differ between rows; None does not tell them apart.
-        keep: which of those counts that do not; None: they are refused, and nobody can choose.
     """
     source = existing_file(path)
     with in_front(f"{source}"):
-        return checked_rows(_cells_of(source), check, check_header, once, keep)
+        return checked_rows(_cells_of(source), check, check_header, once)
 
 
 def _cells_of(source: Path) -> Cells:
@@ -301,14 +293,9 @@ def checked_rows(
     check: Callable[[dict[str, str]], dict[str, Any]],
     check_header: Callable[[list[str]], None],
     once: Sequence[str],
-    keep: Keep | None = None,
 ) -> list[dict[str, Any]]:
     """Return the checked rows of a table, as :func:`read_rows`; errors begin with ", line"."""
     (line, header), *rows = table
-    for place, (_, cells) in enumerate(rows[:2], 1):
-        if any(cell.startswith(_QUALTRICS) for cell in cells):  # above are the questions' texts
-            rows = rows[place:]
-            break
     if rows and len(rows[0][1]) == len(header) + 1 and rows[0][1][0] == "1":
         header = ["", *header]  # as R writes the names of rows
     with in_front(f", line {line}: "):
@@ -323,12 +310,10 @@ def checked_rows(
                 raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
             given = check(dict(zip(header, cells, strict=True)))
             key = tuple(given.get(name) for name in once)
-            if lines.setdefault(key, number) != number and keep not in ("first", "last"):
+            if lines.setdefault(key, number) != number:
                 what = ", ".join(f"{n} {shown(given[n])}" for n in once if given.get(n) is not None)
-                how = "; repeated='first' or 'last' keeps one" if keep else ""
-                raise InvalidEventError(f"has {what} a second time, after line {lines[key]}{how}")
-            if keep == "last" or key not in found:
-                found[key] = given
+                raise InvalidEventError(f"has {what} a second time, after line {lines[key]}")
+            found[key] = given
     with in_front(", "):
         faults.check()
     return list(found.values())

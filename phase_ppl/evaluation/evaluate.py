@@ -18,8 +18,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
-from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
-from phase_ppl.evaluation.judgments import Study, all_events, judged
+from phase_ppl.evaluation.evaluation import (
+    METRICS,
+    POSTERIOR,
+    Evaluation,
+    ResultsFolder,
+    all_events,
+    cost_of,
+)
+from phase_ppl.evaluation.judgments import Study, judged
 from phase_ppl.evaluation.prediction import Prediction, until_moments
 from phase_ppl.evaluation.ratings import moments_of
 from phase_ppl.evaluation.registry import (

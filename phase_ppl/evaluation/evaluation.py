@@ -27,13 +27,14 @@ import re
 import secrets
 import shutil
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.data.documents import check_schema, read_json
+from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
 from phase_ppl.evaluation.metrics import (
@@ -56,6 +57,7 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
     check_name,
+    instance_of,
     number_or_nan,
     shown,
 )
@@ -279,6 +281,67 @@ def cost_of(
         "wall_seconds": wall_seconds,
         "events": each,
     }
+
+
+# --- the events that are asked about ----------------------------------------------------------------
+
+GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
+EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events
+
+
+def all_events(
+    events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
+) -> list[Event]:
+    """Return the events of a file or folder, or the given events, checked.
+
+    Args:
+        events: a file, a folder of files or a generated data set; an event, or several.
+        split: of a generated data set, only the events of that part.
+
+    Raises:
+        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
+        InvalidSettingError: ``events`` are none of these.
+    """
+    if split is not None:
+        path = events if isinstance(events, str | os.PathLike) else None
+        generated = events if path is None else load_events(path)
+        if not isinstance(generated, GeneratedEvents):
+            raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
+        return list(generated.split(split))
+    if isinstance(events, Event):
+        sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
+    elif isinstance(events, str | os.PathLike):
+        sources = [(f" in {file}", load_events(file)) for file in _files(events)]
+    else:
+        instance_of("events", events, Iterable, "a file, a folder or events")
+        sources = [("", list(events))]
+    seen: dict[str, str] = {}
+    for where, found in sources:
+        for event in found:
+            if not isinstance(event, Event):
+                raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_events reads")
+            if event.id in seen:
+                both = f"{seen[event.id]} and{where}" if where else ""
+                raise InvalidEventError(f"there are two events with the id {event.id!r}{both}")
+            seen[event.id] = where
+    if not seen:
+        raise InvalidEventError("there are no events to evaluate")
+    return [event for _, found in sources for event in found]
+
+
+def _files(path: str | os.PathLike[str]) -> list[Path]:
+    source = Path(path)
+    if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
+        return [source]
+    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
+        raise InvalidEventError(
+            f"{source} holds an evaluation; its events are in {source / EVENTS}"
+        )
+    files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
+    if not files:
+        endings = ", ".join(EVENT_FILES)
+        raise InvalidEventError(f"{source}: the folder holds no event files ({endings})")
+    return files
 
 
 # --- kept -----------------------------------------------------------------------------------------

@@ -63,8 +63,8 @@ def test_sliders_and_stops_come_out_as_judgments_at_moments(
     answers = study.table.drop_duplicates(["participant", "event", "question", "at"])
     assert answers["at"].isna().sum() == (answers["at"] == 0.5).sum() == len(answers) / 2 == 36
     sliders = study.table[study.table["question"] == "relation"]
-    assert sliders["rating"].between(0, 100).all()
-    assert sliders["rating"].nunique() > 10
+    assert sliders["value"].between(0, 1).all()
+    assert sliders["value"].nunique() > 10
     found = ppl.evaluate(events, "predicate", judgments=study, workers=1, progress=False)
     assert found.metrics["moments"]["by_moment"][0]["n"] == 36
     assert found.metrics["moments"]["log_score"]["value"] < 0
