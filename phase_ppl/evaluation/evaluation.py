@@ -283,7 +283,7 @@ def cost_of(
     }
 
 
-# --- the events that are asked about ----------------------------------------------------------------
+# --- the events that are asked about --------------------------------------------------------------
 
 GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
 EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events

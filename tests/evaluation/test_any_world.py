@@ -342,7 +342,7 @@ def test_the_terminal_evaluates_and_reports_models_and_people_of_another_world(
     assert "red & green" in str(ppl.Evaluation.load(out / "last_frame"))
     for folder in (out, out / "last_frame"):
         drawn = {path.name for path in (folder / "figures").iterdir()}
-        assert {"accuracy.png", "film_strips.png", "correlation.png"} <= drawn
+        assert {"accuracy.png", "correlation.png"} <= drawn
         assert {"scatter_goals.png", "scatter_relations.png"} <= drawn
         assert "confusion.png" not in drawn  # there are no scenarios
         page = ppl.report(folder).read_text("utf-8")

@@ -186,7 +186,7 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
         assert (OUT / label / "figures" / "accuracy.png").is_file()
         assert len(list((OUT / label).glob("events/*/page.html"))) == 2
     assert ppl.ModelComparison.load(OUT).models == ["right", "other"]
-    assert (OUT / "figures" / "differences.png").is_file()
+    assert (OUT / "figures" / "accuracy.png").is_file()
     assert {page.name for page in (OUT / "pages").iterdir()} == {"0000-a.html", "0001-b.html"}
 
 

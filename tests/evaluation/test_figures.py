@@ -74,7 +74,7 @@ def test_what_the_results_do_not_allow_is_not_drawn_and_what_was_is_taken_away(
     )):  # fmt: skip
         folder = make_folder(tmp_path / f"{number}", of, lambda _, known=predicted: known)
         if missing is None:
-            missing = set(drawings_of(opened(folder.path))) - {"film_strips"}
+            missing = set(drawings_of(opened(folder.path)))
         (folder.path / "figures").mkdir()
         for name in missing:
             (folder.path / "figures" / f"{name}.png").write_bytes(b"old")
@@ -269,10 +269,6 @@ def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path)
 
 
 def test_figures_refuse_what_they_cannot_draw(tags_file: Path, tmp_path: Path) -> None:
-    for bad in (3, ppl.load_event("compete"), tmp_path / "nothing.csv"):
-        for draw in (ppl.figures.tags, ppl.figures.likeness):
-            with pytest.raises(PhasePPLError):
-                draw(bad)  # type: ignore[arg-type]
     for majority in (0, 1.1, "half"):
         with pytest.raises(InvalidSettingError, match="majority="):
             ppl.figures.tags(tags_file, majority=majority)  # type: ignore[arg-type]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.text import Text
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.registry import Answer, Predict
@@ -86,27 +85,6 @@ def test_pooled_agreement_is_over_all_moments(tmp_path: Path) -> None:
     assert found.metrics["moments"]["relation_r"]["value"] == pytest.approx(expected)
 
 
-def test_one_moment_is_drawn_as_marks_with_bars(tmp_path: Path) -> None:
-    events = [still(name, 5 + place, shift=0.1 * place) for place, name in enumerate("abcdef")]
-    study = ppl.load_judgments(table(events).query("at == 1"), events)
-    models = {"grows": grows, "sure": lambda *_: {"relation": "friendly"}}  # no probabilities
-    found = {name: evaluate(events, model, judgments=study) for name, model in models.items()}
-    comparison = ppl.compare_models(found)
-    over = ppl.figures.over_time(comparison, tmp_path / "over.png")
-    assert "4 of 6 events" in "".join(text.get_text() for text in over.findobj(Text))
-    by = ppl.figures.by_moment(comparison, tmp_path / "by.png")
-    for figure in (over, by):
-        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["grows"]
-        axes = figure.axes[0]
-        marks = [line for line in axes.lines if len(line.get_xdata()) == 1]
-        assert [line.get_marker() for line in marks] == ["o", "o"]  # people and a model
-        assert len(axes.collections) == 1  # an interval
-        assert axes.get_xticks().tolist() == [1]
-        assert axes.get_xlim()[0] == 0
-        low, high = axes.get_ylim()
-        assert all(low < line.get_ydata()[0] < high for line in marks)
-
-
 def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> None:
     study = ppl.load_judgments(table(), EVENTS)
     found = {
@@ -116,10 +94,12 @@ def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> N
     comparison = ppl.compare_models(found)
     assert "at moments of the film" in str(comparison)
     figure = ppl.figures.over_time(comparison, tmp_path / "over.png")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["grows", "still"]
     assert [axes.get_title(loc="left") for axes in figure.axes[:3]] == list(LABELS)
     people, *models = figure.axes[0].lines
     assert people.get_xdata() == pytest.approx(MOMENTS)
     assert len(models) == 2
+    assert len(figure.axes[0].collections) == 1, "intervals of people's mean"
     figure = ppl.figures.by_moment(comparison, tmp_path / "by.png")
     assert len(figure.axes) == 2  # relations alone were judged
     with pytest.raises(ppl.errors.InvalidSettingError, match="nobody judged at a moment"):

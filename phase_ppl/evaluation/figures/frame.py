@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
@@ -20,7 +20,6 @@ from phase_ppl.world.files import writable_folder
 from phase_ppl.world.picture import SCENARIO_COLOURS
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PathLike: TypeAlias = str | os.PathLike[str]
@@ -60,7 +59,7 @@ _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 def drawing(
     title: str, alt: str, *, compares: bool = False, of_moments: bool = False
 ) -> Callable[[_Draw], _Draw]:
-    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`.
+    """Return a decorator: draw in the common style, write, and register in :data:`DRAWINGS`.
 
     Figures of a rehearsal say so.
     """
@@ -120,15 +119,6 @@ def width_of(shown: Iterable[AnswerSet]) -> float:
     """Return the approximate inches for names beside a figure, margins included."""
     labels = [answers.label for answers in shown]
     return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
-
-
-def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
-    """Write the names of the rows on the left, in their colours."""
-    labels = [answers.label for answers in shown]
-    axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
-    axes.tick_params(axis="y", length=0)
-    for text, answers in zip(axes.get_yticklabels(), shown, strict=True):
-        text.set_color(answers.colour)
 
 
 def in_words(counts: Iterable[int]) -> str:
