@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import functools
+import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import users_parts
-from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line, report_hint
+from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line
 from phase_ppl.world.errors import AnswerError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder
@@ -18,9 +19,6 @@ from phase_ppl.world.files import writable_folder
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
     from phase_ppl.evaluation.evaluation import Evaluation
-
-PAGES: Final = "pages"  # the folder of the pages, one per event, of a comparison
-_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # names of pages (``entry_name``)
 
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that are options of the command."""
@@ -40,7 +38,7 @@ def evaluate(options: Options) -> int:
         --model NAME...: stepwise, the closed loop (the default), simple or another. Given several
             times, all are evaluated and compared, each in a folder of its name in --out;
             LABEL=NAME gives another name
-        --out DIR: for predictions, metrics, figures and pages
+        --out DIR: for predictions, metrics and figures
         --resume: continue the evaluation in --out; events may have been added at the end
         --observer NAME: observer through which the model is seen: people, which comes with the
             package, or a file of fit-people
@@ -51,7 +49,7 @@ def evaluate(options: Options) -> int:
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --against NAME: of several models the one to compare the others with; default: every pair
         $stored
-        --no-figures: draw no figures and pages
+        --no-figures: draw no figures
         $progress
         --preset NAME: $PRESET
         $planner
@@ -175,9 +173,10 @@ def _show_again(options: Options) -> int:
 
 def _say_where(folder: Path | None) -> None:
     if folder is None:
-        print("\nNothing was saved; --out DIR keeps tables, figures and pages.")
+        print("\nNothing was saved; --out DIR keeps tables and figures.")
     else:
-        print(f"\nKept in {folder}\n{report_hint(folder)}")
+        hint = f"For one page of it all: phase-ppl report {shlex.quote(str(folder))}"
+        print(f"\nKept in {folder}\n{hint}")
 
 
 def _references(options: Options) -> str | list[str]:
@@ -185,46 +184,24 @@ def _references(options: Options) -> str | list[str]:
     return "all" if "all" in options.stored else list(options.stored)
 
 
-def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
-    """Draw the figures of an evaluation or a comparison into ``out``, and the events' pages.
+def _drawn(
+    source: Evaluation | ModelComparison, out: Path, options: Options, named: str = ""
+) -> int:
+    """Draw the figures of an evaluation or a comparison into ``out``; return the exit code.
 
-    The results are there even if drawing fails. Failures are printed and set the exit code, which
-    is returned.
+    The results are there even if drawing fails, which is printed.
     """
     if options.no_figures:
         return 0
-    from phase_ppl.evaluation import figures, report
-    from phase_ppl.evaluation.evaluation import PAGE, Evaluation, entry_name
-    from phase_ppl.world.progress import counted
+    from phase_ppl.evaluation import figures
 
-    code = 0
-
-    def attempt(what: str, draw: Callable[[], object]) -> None:
-        nonlocal code
-        try:
-            draw()
-        except Exception as error:
-            problem = f"{named}{what} cannot be drawn: {one_line(error)}"
-            print(f"phase-ppl: error: {problem}", file=sys.stderr)
-            code = FAILED
-
-    def page(place: int, event: Event) -> None:
-        if isinstance(source, Evaluation) and source.folder is not None:
-            text, file = report.page_of(source, event.id), source.folder.folder_of(event.id) / PAGE
-        else:
-            text = report.event_page(event, source.answers)
-            file = writable_folder(out / PAGES) / f"{entry_name(place, event.id)}.html"
-        report.write_page(text, file)
-
-    quiet = options.progress is False
-    attempt("the figures", lambda: figures.draw_figures(source, out, progress=not quiet))
-    for old in (out / PAGES).glob(_PAGE):  # of an earlier comparison, maybe with other events
-        old.unlink(missing_ok=True)
-    answered = getattr(source, "predictions", None)
-    for place, event in counted([*enumerate(source.events)], options.progress, "page", "drawing"):
-        if answered is None or event.id in answered:
-            attempt(f"the page of {event.id}", functools.partial(page, place, event))
-    return code
+    try:
+        figures.draw_figures(source, out, progress=options.progress is not False)
+    except Exception as error:
+        problem = f"{named}the figures cannot be drawn: {one_line(error)}"
+        print(f"phase-ppl: error: {problem}", file=sys.stderr)
+        return FAILED
+    return 0
 
 
 def compare_models(options: Options) -> int:
@@ -241,8 +218,8 @@ def compare_models(options: Options) -> int:
         --margin X: largest difference of shares at which a model equals people; default 0.1
         --seed N: of the resamples; default 0
         --resamples N: of the events, default 10000
-        --out DIR: for tables, figures and pages
-        --no-figures: draw no figures and pages
+        --out DIR: for tables and figures
+        --no-figures: draw no figures
         $progress
 
     example: phase-ppl compare-models out/simple out/last_frame --out compared
@@ -285,13 +262,13 @@ def reproduce(options: Options) -> None:
     """Reproduce the paper's tables and figures, cell by cell.
 
     Runs the models of the paper, and compares every number and figure with the results, on one
-    page. Without --videos it uses generated events: a trial, no reproduction.
+    page.
 
     Args:
-        --videos FILE: phase-test JSON or the authors' release
+        --videos FILE: phase-test JSON or the authors' release; required
         --out DIR: required
-        --profile quick|paper|full: quick (the default): few simulations and searches; paper: as in
-            the paper; full: also all lesions, and results beyond the paper
+        --profile quick|paper: quick (the default): few simulations and searches; paper: as in the
+            paper
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --vlm-store DIR: stored answers of a vision-language model
         --tags FILE: people's labels, a .csv file

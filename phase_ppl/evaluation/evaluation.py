@@ -8,7 +8,6 @@
       events/0007-ID/        one folder per finished event, made whole or not at all
         prediction.json      what the model answered
         posterior.nc         where the model has one
-        page.html            the page of the event
       failures.json          event id -> what went wrong, of the events without a prediction
       metrics.json           written last
       figures/*.png
@@ -74,7 +73,6 @@ SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"
 POSTERIOR: Final = "posterior.nc"
-PAGE: Final = "page.html"
 METRICS: Final = "metrics.json"
 FAILURES: Final = "failures.json"
 

@@ -403,17 +403,13 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_figures_and_the_page_of_a_run_speak_of_its_world(tmp_path: Path) -> None:
+def test_figures_speak_of_their_world() -> None:
     post = of_three()
     figure = ppl.plot.posteriors({"read": post, "alone": post.with_prior("no_social_goals")})
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[2:4] == ["Goal of the purple agent", "Relation of red & green"]
     with pytest.raises(InvalidSettingError, match="must be of one world"):
         ppl.plot.posteriors({"read": post, "of PHASE": StepwisePosterior(FOUND)})
-    post.save(tmp_path / "posterior.nc")
-    page = ppl.report(tmp_path).read_text("utf-8")
-    for words in ("purple agent", "red &amp; purple", "What decided"):
-        assert words in page
 
 
 PLACE = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}

@@ -12,7 +12,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.cli.users_parts import options_of
-from phase_ppl.evaluation import figures, report
+from phase_ppl.evaluation import figures
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
 from tests.test_cli import Capture, fails, told
@@ -66,7 +66,7 @@ def read(name: str, folder: Path = OUT) -> Any:
     return json.loads((folder / name).read_text())
 
 
-def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
+def test_it_prints_a_table_and_writes_predictions_metrics_and_figures(
     capsys: Capture,
 ) -> None:
     study = Path("people.csv")
@@ -80,7 +80,6 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
     assert read("metrics.json")["people"]["relation_accuracy"]["value"] == 0.5
     assert read("settings.json")["options"] == {"size": 3}
     assert (OUT / "figures" / "accuracy.png").stat().st_size > 1000
-    assert len(list(OUT.glob("events/*/page.html"))) == 1
     error = fails(capsys, "evaluate", OUT, "--model", "right")
     assert f"its events are in {OUT / 'events.json'}" in error
     assert f"{OUT} holds no posterior.nc\n" in fails(capsys, "query", OUT, "P(goal_red)")
@@ -127,11 +126,9 @@ def test_a_failing_figure_costs_no_results(
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
-    monkeypatch.setattr(report, "page_of", broken)
     assert evaluate(EVENTS, "--model", "right", "--out", OUT) == 1
     written = capsys.readouterr()
     assert "the figures cannot be drawn: no ink" in written.err
-    assert "the page of b cannot be drawn: no ink" in written.err
     assert "goals right" in written.out
     assert (OUT / "metrics.json").exists()
 
@@ -173,8 +170,6 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
 def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
     capsys: Capture,
 ) -> None:
-    (OUT / "pages").mkdir(parents=True)
-    (OUT / "pages" / "0007-of_an_event_no_more_compared.html").touch()
     assert evaluate(EVENTS, *BOTH, "other=wrong", "--out", OUT, "--limit", 2) == 0
     printed = capsys.readouterr().out
     for words in ("2 models on 2 events", "right - other", f"Kept in {OUT}"):
@@ -184,10 +179,8 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
         assert (found.name, len(found.predictions)) == (model, 2)
         assert (OUT / label / "metrics.json").is_file()
         assert (OUT / label / "figures" / "accuracy.png").is_file()
-        assert len(list((OUT / label).glob("events/*/page.html"))) == 2
     assert ppl.ModelComparison.load(OUT).models == ["right", "other"]
     assert (OUT / "figures" / "accuracy.png").is_file()
-    assert {page.name for page in (OUT / "pages").iterdir()} == {"0000-a.html", "0001-b.html"}
 
 
 def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) -> None:

@@ -23,7 +23,6 @@ from phase_ppl.evaluation.figures.frame import (
     draw_figures,
     drawings_of,
 )
-from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.files import write_json
@@ -266,7 +265,7 @@ def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> 
     c.save(tmp_path)
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")
     assert "right, silent, nothing on 4 events" in text
-    assert text.count("right in all they answered: right<") == 4
+    assert text.count("right in all they answered: right") == 4
     assert c.metrics["nothing"]["relation_accuracy"] is None
     assert c.differences == []
 
@@ -437,11 +436,7 @@ def test_no_text_of_a_figure_leaves_the_page_or_covers_another(crowd: ppl.ModelC
         texts_apart(drawing.draw(crowd))
 
 
-def test_everybody_has_a_column_on_a_page_and_a_colour_that_stays(
-    crowd: ppl.ModelComparison,
-) -> None:
-    shown = event_page(crowd.events[0], crowd.answers)
-    assert all(words in shown for words in ("people", "SIMPLE", "planning", "physics", "$y$"))
+def test_everybody_has_a_colour_that_stays(crowd: ppl.ModelComparison) -> None:
     colours = {o.name: o.colour for o in crowd.answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
     few = {o.name: o.colour for o in compare(evaluation("vlm")).answers}
