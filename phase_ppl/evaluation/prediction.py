@@ -78,14 +78,6 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 """Agent of PHASE -> the question about its goal."""
 
 
-def scenario_of(answers: Mapping[str, str], world: World) -> str | None:
-    """Return the scenario of the two goals answered in PHASE; None where one is missing."""
-    if not space_of(world).scenario_names or not answers.keys() >= {*GOAL_QUESTIONS.values()}:
-        return None
-    red, green = (answers[question] for question in GOAL_QUESTIONS.values())
-    return scenario(red, green)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction(Printed):
     """Answers to the questions about one event. What is not given is absent, never guessed.
@@ -234,7 +226,11 @@ class Prediction(Printed):
     @property
     def scenario(self) -> str | None:
         """Scenario of the two goals answered in PHASE; None where one is missing."""
-        return scenario_of(self.answers, self.world)
+        answered = self.answers.keys() >= {*GOAL_QUESTIONS.values()}
+        if not (space_of(self.world).scenario_names and answered):
+            return None
+        red, green = (self.answers[question] for question in GOAL_QUESTIONS.values())
+        return scenario(red, green)
 
     def estimate(self, question: str, answer: str) -> Estimate:
         """Return the probability of an answer, with its error where that is known."""

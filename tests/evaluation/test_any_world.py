@@ -79,7 +79,7 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     with_lapse = 0.99 * np.array([1.0, 1.0, 0.9, 0.0, 0.6, 0.6]) + 0.01 / len(TRIO.goals)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(np.log(with_lapse).mean())
     assert metrics["relation_log_score_truth"] is None
-    assert metrics["human"]["goal_r"] is metrics["confusion"] is metrics["doubt"] is None
+    assert metrics["human"]["goal_r"] is metrics["doubt"] is None
     assert "by_scenario" not in metrics
     text = str(found)
     for word in ("purple agent", "red & purple", "0.75 [0.19, 0.99] of 4"):

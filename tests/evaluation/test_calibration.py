@@ -82,7 +82,7 @@ def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
     bins = exact.reliability("goal_red")
     assert bins["n"].sum() == 200
     assert bins["probability"].between(bins["low"], bins["high"]).mean() >= 0.8
-    told = exact.to_dataframe()
+    told = exact.table
     assert told["rank"].between(0, told["n"]).all()
     assert told["place"].between(0, 1).all()
 
@@ -92,15 +92,12 @@ def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
     [(0.5, "too sure", -1), (2.5, "less sure than it should be", 1)],
     ids=["too narrow", "too wide"],
 )
-def test_a_wrong_noise_is_found(
-    exact: ppl.Calibration, spread: float, verdict: str, sign: int
-) -> None:
+def test_a_wrong_noise_is_found(spread: float, verdict: str, sign: int) -> None:
     summary = calibrate(200, spread).summary
     assert summary.loc["goal_red", "verdict"].startswith(verdict)
     right_minus_sure = summary["right"] - summary["sure"]
     assert sign * right_minus_sure["goal_red"] > 0.03
     assert summary.loc["goal_red", "p_even"] < 0.05
-    assert summary.loc["goal_red", "ece"] > exact.summary.loc["goal_red", "ece"]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.doubt import agreement, calibration, ceiling
+from phase_ppl.evaluation.doubt import calibration, ceiling
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
@@ -83,15 +83,6 @@ def test_brier_and_calibration_by_hand() -> None:
     assert [b["n"] for b in bins] == [1, 2]
 
 
-def test_items_are_ranked_by_misfit() -> None:
-    p = SHARES.copy()
-    p[3] = [0.8, 0.1, 0.1]
-    misfit = doubt(0.98 * p + 0.02 / 3)["misfit"]
-    assert misfit[0]["event"] == "e3"
-    gaps = [one["log_score_gap"] for one in misfit]
-    assert gaps == sorted(gaps, reverse=True)
-
-
 def test_raters_of_one_law_reach_the_ceiling_of_their_number() -> None:
     rng = np.random.default_rng(0)
     p = rng.dirichlet([1.0, 1.0, 1.0], size=400)
@@ -112,24 +103,6 @@ def test_raters_of_one_law_reach_the_ceiling_of_their_number() -> None:
     assert found["one_out_r"] == pytest.approx(np.corrcoef(rest.ravel(), given.ravel())[0, 1])
     logs = np.log(0.99 * (rest * given).sum(axis=1) + 0.01 / 3)
     assert found["one_out_log_score"] == pytest.approx(logs.mean())
-
-
-def test_raters_who_agree_more_than_by_chance_are_found() -> None:
-    rng = np.random.default_rng(0)
-    p = np.full((60, 3), 1 / 3)
-    apart = agreement(p, rng.multinomial(12, p), rng, 400)
-    together = agreement(p, np.eye(3, dtype=int)[rng.integers(3, size=60)] * 12, rng, 400)
-    assert apart["p"] > 0.01
-    assert together["people"] == 1.0
-    assert together["p"] < 0.01
-    # of raters who are as the model has them it is even between 0 and 1
-    each = [agreement(p, rng.multinomial(12, p), rng, 100)["p"] for _ in range(100)]
-    assert np.mean(each) == pytest.approx(0.5, abs=0.1)
-    assert apart["low"] < 1 / 3 < apart["high"]
-    # sums of one and a last bit are taken
-    sure = np.array([[np.nextafter(1.0, 2.0), 0.0, 0.0]] * 4)
-    found = agreement(sure, np.array([[9, 0, 0]] * 4), rng, 20)
-    assert found["low"] == found["high"] == found["people"] == 1.0
 
 
 def test_people_with_names_are_resampled_as_wholes() -> None:

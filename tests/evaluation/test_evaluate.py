@@ -352,7 +352,7 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
     assert str(again) == str(found)
     assert set(kept) >= {
         *("n_events", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy", "by_scenario"),
-        *("calibration", "confusion", "human", "people", "reference_models", "failures"),
+        *("calibration", "human", "people", "reference_models", "failures"),
         *("settings", "cost"),
     }
     of_all = ("", "reference_models.rival.", "people.")

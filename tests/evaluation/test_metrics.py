@@ -71,7 +71,7 @@ def relations(n: int, right: int) -> dict[str, Prediction]:
     return by_id(*(answers(str(i), relation=one) for i, one in enumerate(said)))
 
 
-def test_accuracies_are_shares_and_scenarios_are_those_of_the_goals_answered() -> None:
+def test_accuracies_are_shares_by_true_scenario() -> None:
     metrics = evaluate_predictions(EVENTS, ANSWERS)
     assert metrics["n_events"] == 4
     assert values(metrics, "goal_accuracy", "relation_accuracy") == [(2 + 1 + 1 + 0) / 8, 3 / 4]
@@ -82,13 +82,6 @@ def test_accuracies_are_shares_and_scenarios_are_those_of_the_goals_answered() -
     assert values(by_scenario, *goals) == [3 / 4, 0, 1 / 2, None]
     assert values(by_scenario, "collaborative.relation_accuracy") == [1]
     assert {figure for name, figure in by_scenario["opposing"].items() if name != "n"} == {None}
-    nothing = dict.fromkeys(SCENARIOS, 0)
-    assert metrics["confusion"] == {
-        "collaborative": {**nothing, "collaborative": 1, "independent": 1},
-        "independent": {**nothing, "independent": 1},
-        "competing": {**nothing, "collaborative": 1},
-        "opposing": nothing,
-    }
     # a single event has no interval, nor has a scenario that a single event has
     assert by_scenario["competing"]["goal_accuracy"]["ci_low"] is None
     assert by_scenario["collaborative"]["goal_accuracy"]["ci_low"] is not None
@@ -175,12 +168,11 @@ def test_top3_needs_a_probability() -> None:
     assert evaluate_predictions([first], sure)["goal_top3_accuracy"]["value"] == 0
 
 
-def test_ties_go_to_the_first_in_label_order_and_are_counted() -> None:
+def test_ties_go_to_the_first_in_label_order() -> None:
     events = [make_event("a", COLLABORATIVE), make_event("b", COMPETING)]
     tied = by_id(*(shares(name, relation=[0.4, 0.2, 0.4]) for name in "ab"))
     metrics = evaluate_predictions(events, tied)
     assert metrics["relation_accuracy"]["value"] == 1 / 2
-    assert metrics["ties"] == {"goal_red": None, "goal_green": None, "relation": 2}
 
 
 def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
@@ -219,8 +211,6 @@ def test_only_what_is_answered_counts() -> None:
     metrics = evaluate_predictions(EVENTS, made)
     assert metrics["goal_accuracy"]["value"] == 2 / 3
     assert metrics["relation_accuracy"] is None
-    assert metrics["confusion"]["collaborative"]["independent"] == 1
-    assert sum(sum(row.values()) for row in metrics["confusion"].values()) == 1
 
 
 def test_without_truth_judgments_or_predictions_figures_are_none() -> None:
@@ -232,7 +222,7 @@ def test_without_truth_judgments_or_predictions_figures_are_none() -> None:
     unknown = [make_event("a", None), make_event("b", None)]
     for events, made in ((unknown, ANSWERS), (EVENTS, {}), ([], {})):
         metrics = evaluate_predictions(events, made)
-        of_counts = ("n", "n_events", "by_scenario", "ties")
+        of_counts = ("n", "n_events", "by_scenario")
         assert set(figures({k: v for k, v in metrics.items() if k not in of_counts})) == {None}
         for part in metrics["by_scenario"].values():
             assert part.pop("n") == 0
@@ -446,9 +436,8 @@ def test_shares_and_majorities_of_votes() -> None:
     places = ("relation_accuracy", "majority.relation_accuracy", of_competing)
     assert values(found, *places) == pytest.approx([(0.6 + 0.4 + 0.5) / 3, 1 / 3, 0.4])
     assert values(found["majority"], of_competing) == [0]
-    assert found["ties"] == {"goal_red": None, "goal_green": None, "relation": 1}
     assert found["by_scenario"]["competing"]["n"] == 1
-    assert found["goal_accuracy"] is found["by_participant"] is found["confusion"] is None
+    assert found["goal_accuracy"] is found["by_participant"] is None
     # an agent whose goal nobody named does not count
     one = {"goal_counts": {"red agent": {BLUE_TO_RED: 1, PINK_TO_BLUE: 3}}}
     of_goals = human_accuracy([make_event("a", COLLABORATIVE, judgments=one)])
@@ -471,9 +460,6 @@ def test_responses_tell_what_each_participant_got_right() -> None:
     for place in (by_participant, found):
         right = values(place, "goal_accuracy", "relation_accuracy")
         assert right == pytest.approx([(3 / 4 + 1 / 2) / 2, 1 / 2])
-    counts = dict(zip(SCENARIOS, (1, 1, 0, 0), strict=True))
-    assert found["confusion"]["collaborative"] == counts
-    assert found["confusion"]["competing"]["collaborative"] == 1
 
 
 def test_five_people_who_are_right_need_not_always_be_and_nobody_has_no_accuracy() -> None:
