@@ -23,7 +23,6 @@ from phase_ppl.analysis.figures.style import (
 from phase_ppl.evaluation.cells import KIND_WORDS, measure_text, number
 from phase_ppl.evaluation.doubt import label_places, rows_of
 from phase_ppl.evaluation.experiments import (
-    MAJORITY,
     MARGIN,
     RATINGS,
     Likeness,
@@ -400,8 +399,6 @@ def _named(figure: Figure, models: list[AnswerSet]) -> None:
 
 # --- labels and ratings of videos (:mod:`phase_ppl.evaluation.experiments`)
 
-_FAINT: Final = "#e6e6e6"
-
 
 def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
     if table["participant"].str.startswith(Judgments.SCRIPTED).any():
@@ -409,27 +406,21 @@ def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
 
 
 @in_style
-def tags(
-    source: Tags | PathLike, path: PathLike | None = None, *, majority: float = MAJORITY
-) -> Figure:
+def tags(source: Tags | PathLike, path: PathLike | None = None) -> Figure:
     """Draw the share of videos in each category, as the paper does for its 23 labels.
 
     Labels are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). A video
-    has a category if at least the share ``majority`` of its viewers chose the label.
+    has a category if at least half of its viewers chose the label.
 
     Raises:
-        InvalidSettingError: ``majority`` is no share.
         InvalidEventError: the file holds no labels; the message names file and line.
     """
     given = source if isinstance(source, Tags) else load_tags(source)
-    found = given.summary(majority)[::-1]
-    fewest, most = given.viewers.min(), given.viewers.max()
-    each = f"{most} each" if fewest == most else f"{fewest} to {most} each"
+    found = given.summary()[::-1]
     figure = new_figure(
         *(6.4, 0.9 + 0.19 * len(found)),
-        note=f"Percentage of the {len(given.viewers)} videos for which at least "
-        f"{100 * majority:g} % of their viewers ({each}) chose the label. Hollow: chosen by "
-        "somebody, in no video by that many.",
+        note=f"Percentage of the {len(given.viewers)} videos for which at least half of their "
+        "viewers chose the label. Hollow: chosen by somebody, in no video by that many.",
     )
     axes = figure.subplots()
     bars = axes.barh(found.index, found["percent"], 0.68, color=COLOURS[0])
@@ -444,60 +435,39 @@ def tags(
 
 
 @in_style
-def likeness(
-    source: Likeness | PathLike, path: PathLike | None = None, *, margin: float = MARGIN
-) -> Figure:
+def likeness(source: Likeness | PathLike, path: PathLike | None = None) -> Figure:
     """Draw people's ratings of how likely the behaviour is, in two groups of videos.
 
-    Ratings are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). Groups
-    are equivalent if their mean ratings differ by less than ``margin``.
+    Ratings are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). The note
+    has the test of equivalence.
 
     Raises:
-        InvalidSettingError: ``margin`` is not positive.
         InvalidEventError: the file holds no ratings; the message names file and line.
     """
     given = source if isinstance(source, Likeness) else load_likeness(source)
-    found = given.summary()
-    test = given.equivalence(margin)
+    test = given.equivalence()
+    told = f"Difference of participants' means: {test['difference']:.2f}"
+    if test["p"] is not None:
+        told += f" [{test['ci_low']:.2f}, {test['ci_high']:.2f}] (90 %)"
     shown = "shown" if test["equivalent"] else "not shown"
-    p = "none where nobody differs" if test["p"] is None else f"{test['p']:.2g}"
     figure = new_figure(
-        *(7.2, 2.7),
-        note="Left: share of each rating. Middle: mean rating of each video, and mean over videos. "
-        "Right: difference of the mean ratings of participants with its 90 % interval, beside the "
-        f"margin; equivalence is {shown} (two one-sided tests, p = {p}).",
+        *(5.4, 2.9),
+        note="Left: share of each rating. Right: mean rating of each video, and mean over videos. "
+        f"{told}; equivalence within {MARGIN} is {shown} (two one-sided tests).",
     )
-    shares, means, difference = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
-    for index, group in enumerate(given.groups):
+    shares, means = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
+    for index, (group, values) in enumerate(given.means("videos").items()):
         ratings = given.table.loc[given.table["group"] == group, "rating"]
         share = [float((ratings == rating).mean()) for rating in RATINGS]
         places = np.array(RATINGS) + 0.4 * (index - 0.5)
         shares.bar(places, share, width=0.38, color=COLOURS[index], label=group)
-        _points(means, index, given.means("videos")[group], COLOURS[index])
+        means.plot([index] * len(values), values, "o", ms=3, color=COLOURS[index], alpha=0.5, mew=0)
+        means.plot([index - 0.25, index + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
     shares.set(xticks=RATINGS, xlabel="rating", ylabel="share")
     shares.legend(loc="upper left")
+    found = given.summary()
     labels = [f"{g}\n{r['mean']:.2f} ± {r['sd_videos']:.2f}" for g, r in found.iterrows()]
     means.set_xticks([0, 1], labels)
     means.set(xlim=(-0.5, 1.5), ylim=(0.9, 5.1), yticks=RATINGS)
-    low, high = test["ci_low"], test["ci_high"]
-    difference.axhspan(-margin, margin, color=_FAINT)
-    difference.axhline(0, color="#999999", lw=0.7)
-    if low is not None:
-        difference.plot([0, 0], [low, high], color=INK, lw=2.2)
-    face = INK if test["equivalent"] else "white"
-    difference.plot(0, test["difference"], "o", ms=5, mfc=face, mec=INK)
-    reach = 1.2 * max(margin, *(abs(end or 0.0) for end in (low, high, test["difference"])))
-    difference.set(xlim=(-1, 1), ylim=(-reach, reach))
-    difference.set_xticks([0], [" \N{MINUS SIGN}\n".join(given.groups)])
     _warn_of_scripted(figure, given.table)
     return written(figure, path)
-
-
-def _points(axes: Axes, place: int, values: np.ndarray, colour: str) -> None:
-    """Draw points and their mean; points of equal value are spread sideways."""
-    rounded = np.round(values, 1)
-    for value in np.unique(rounded):
-        here = values[rounded == value]
-        aside = (np.arange(len(here)) - (len(here) - 1) / 2) * min(0.05, 0.8 / max(1, len(here)))
-        axes.plot(place + aside, here, "o", ms=2.6, color=colour, alpha=0.6, mew=0)
-    axes.plot([place - 0.25, place + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
