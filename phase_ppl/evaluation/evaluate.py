@@ -24,7 +24,6 @@ from phase_ppl.evaluation.evaluation import (
     Evaluation,
     ResultsFolder,
     all_events,
-    cost_of,
 )
 from phase_ppl.evaluation.judgments import Study, judged
 from phase_ppl.evaluation.prediction import Prediction, until_moments
@@ -158,7 +157,6 @@ def evaluate(
 
     The last three carry the finished events as ``evaluation``.
     """
-    clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = slots_of(workers, executor)
     given = all_events(events, split)
@@ -184,8 +182,7 @@ def evaluate(
 
         def evaluation() -> Evaluation:
             kept = {event.id: done[event.id] for event in chosen if event.id in done}
-            cost = cost_of(kept, slots, time.monotonic() - clock)
-            return Evaluation(chosen, kept, failures, settings, cost, folder, tuple(notes))
+            return Evaluation(chosen, kept, failures, settings, folder, tuple(notes))
 
         for event in chosen:
             if event.id in done and not set(moments_of(event)) <= set(done[event.id].moments):

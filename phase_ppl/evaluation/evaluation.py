@@ -57,7 +57,6 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     check_name,
     instance_of,
-    number_or_nan,
     shown,
 )
 from phase_ppl.world.event import Event
@@ -108,9 +107,6 @@ class Evaluation(Printed):
         failures: event id -> what went wrong, of the others.
         settings: all that determines the predictions: ``model``, ``options``, ``seed``, the
             ``events`` by id with a checksum of what is seen of them, ``versions``.
-        cost: ``seconds`` (summed over events), ``simulations`` (None where the model counts
-            none), ``workers`` and ``wall_seconds`` of the last call, and ``events``, the same
-            for each.
         folder: folder that keeps it; None: none.
         notes: remarks, such as about damaged predictions.
     """
@@ -119,9 +115,23 @@ class Evaluation(Printed):
     predictions: Mapping[str, Prediction]
     failures: Mapping[str, str]
     settings: Mapping[str, Any]
-    cost: Mapping[str, Any]
     folder: ResultsFolder | None = None
     notes: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def cost(self) -> dict[str, Any]:
+        """What the predictions cost.
+
+        ``seconds`` and ``simulations``, summed over events (None where the model counts none), and
+        ``events``, the cost of each.
+        """
+        each = {name: dict(prediction.cost) for name, prediction in self.predictions.items()}
+        counts, seconds = (
+            [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
+            for name in ("simulations", "seconds")
+        )
+        total = sum(counts) if counts else None
+        return {"seconds": sum(seconds), "simulations": total, "events": each}
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -210,9 +220,8 @@ class Evaluation(Printed):
         for name in ("model", "seed"):
             if name not in folder.settings:
                 raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
-        predictions = folder.predictions()
-        cost = cost_of(predictions, *folder.last_call())
-        return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
+        predictions, failures = folder.predictions(), folder.failures()
+        return cls(folder.events, predictions, failures, folder.settings, folder)
 
     @property
     def name(self) -> str:
@@ -261,24 +270,6 @@ def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluatio
         known = f", and no reference model ({', '.join(references)})" if references else ""
         raise InvalidEventError(f"{source}: no such folder{known}")
     return Evaluation.load(source)
-
-
-def cost_of(
-    predictions: Mapping[str, Prediction], workers: int | None, wall_seconds: float | None
-) -> dict[str, Any]:
-    """Return the cost of predictions, in total and for each."""
-    each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
-    counts, seconds = (
-        [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
-        for name in ("simulations", "seconds")
-    )
-    return {
-        "seconds": sum(seconds),
-        "simulations": sum(counts) if counts else None,
-        "workers": workers,
-        "wall_seconds": wall_seconds,
-        "events": each,
-    }
 
 
 # --- the events that are asked about --------------------------------------------------------------
@@ -525,15 +516,6 @@ class ResultsFolder:
         source = self.path / FAILURES
         return read_json(source) if source.is_file() else {}
 
-    def last_call(self) -> tuple[int | None, float | None]:
-        """Return workers and wall seconds of the call that finished it, by metrics.json."""
-        source = self.path / METRICS
-        cost = read_json(source).get("cost") if source.is_file() else None
-        given = cost if isinstance(cost, Mapping) else {}
-        workers, seconds = (number_or_nan(given.get(n)) for n in ("workers", "wall_seconds"))
-        known = math.isfinite(workers) and math.isfinite(seconds)
-        return (int(workers), seconds) if known else (None, None)
-
 
 def entry_name(place: int, event_id: str) -> str:
     """Return the name of an event's folder, from its place among the events and its id."""
@@ -560,10 +542,6 @@ def _cost(cost: Mapping[str, Any]) -> str:
     words += f", {_time(sum(cpu))} of CPU" if cpu else ""
     if cost["simulations"] is not None:
         words = f"{cost['simulations']} simulations, {words}"
-    if cost["wall_seconds"] is not None:
-        n = cost["workers"]
-        on = "" if n is None else f" with {n} worker{'' if n == 1 else 's'}"
-        words += f"; this call took {_time(cost['wall_seconds'])} by the clock{on}"
     return words
 
 

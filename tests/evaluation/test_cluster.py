@@ -59,8 +59,6 @@ def test_a_killed_worker_changes_no_answer(tmp_path: Path) -> None:
         found = ppl.evaluate(EVENTS, model, executor=client.get_executor(), progress=False)
     notes = sorted(model.warmed.iterdir(), key=lambda file: int(file.name.split("-")[1]))
     assert len(list(model.begun.iterdir())) > len(EVENTS)  # that of the killed one was asked again
-    assert found.cost["workers"] is None
-    assert "workers" not in str(found)
     same(found, evaluate(EVENTS, guesses))
     # one process of a machine warms up after the other, so that only the first compiles
     pids = [file.name.split("-")[0] for file in notes]

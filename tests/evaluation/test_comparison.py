@@ -75,7 +75,7 @@ def evaluation(
         assert event.truth is not None
         made[event.id] = answers(event.id, *goals, relation=relation or event.truth.relation)
     made = more.pop("predictions", costing(made, seconds=2.0, cpu_seconds=1.5))
-    return ppl.Evaluation(of, made, {}, {"model": name, "seed": 0}, {}, **more)
+    return ppl.Evaluation(of, made, {}, {"model": name, "seed": 0}, **more)
 
 
 def costing(predictions: Mapping[str, ppl.Prediction], **cost: float) -> dict[str, ppl.Prediction]:
