@@ -184,20 +184,8 @@ class Calibration(Printed):
         head = f"{self._name}: {n} videos drawn from prior and simulator"
         head += f", and {failed} without an answer" if failed else ""
         lines = wrapped("calibration", head)
-        form = "{:<16}{:>8}{:>18}{:>7}{:>19}{:>18}"
-        names = ("right", "95 %", "sure", "score (expected)", "rank (p even)")
-        lines += ["", form.format("", *names)]
-        for name, row in self.summary.iterrows():
-            cells = [""] * 4
-            if np.isfinite(row["sure"]):
-                cells = [
-                    f"{row['right']:.2f}",
-                    f"[{row['low']:.2f}, {row['high']:.2f}]",
-                    f"{row['sure']:.2f}",
-                    f"{row['log_score']:.2f} ({row['expected']:.2f})",
-                ]
-            place = f"{row['rank']:.2f} ({row['p_even']:.3f})"
-            lines.append(form.format(str(name), *cells, place).rstrip())
+        shown = self.summary.drop(columns=["n", "p_score", "verdict"]).rename_axis(None)
+        lines += ["", *shown.to_string(float_format="{:.3f}".format, na_rep="").splitlines()]
         verdicts = self.summary["verdict"].items()
         said = [
             line

@@ -239,13 +239,6 @@ class Prediction(Printed):
         error = math.nan if errors is None else float(errors[place])
         return Estimate(float(self.probabilities[question][place]), error)
 
-    def top(self, question: str, n: int) -> tuple[str, ...] | None:
-        """Return the ``n`` most probable answers, ties in label order; None where not given."""
-        if question not in self.probabilities:
-            return None
-        order = np.argsort(-self.probabilities[question], kind="stable")[:n]
-        return tuple(self.questions[question][index] for index in order)
-
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
         labels = self.questions
@@ -317,10 +310,11 @@ class Prediction(Printed):
             if question not in self.probabilities:
                 lines += wrapped(label, answer)
                 continue
-            others = [one for one in self.top(question, _SHOWN) or () if one != answer]
-            each = [(name, self.estimate(question, name)) for name in (answer, *others)]
-            n = _SHOWN if len(self.answers) <= _MANY else 1
-            lines += bars(label, [(name, p) for name, p in each[:n] if p or name == answer])
+            order = np.argsort(-self.probabilities[question], kind="stable")
+            names = dict.fromkeys([answer, *(self.questions[question][i] for i in order)])
+            shown = list(names)[: _SHOWN if len(self.answers) <= _MANY else 1]
+            each = [(name, self.estimate(question, name)) for name in shown]
+            lines += bars(label, [(name, p) for name, p in each if p or name == answer])
         unsure = ", ".join(question for question, sure in self.sure.items() if not sure)
         return "\n".join([*lines, *(wrapped("not sure", unsure) if unsure else ())])
 

@@ -147,8 +147,6 @@ NOT_DRAWN: Final = (
 
 VERDICTS: Final = ("inside", "outside", "not computable")
 
-LOOSE: Final = 0.4  # width of an interval of ours from which on to be inside of it says little
-
 
 class Cell(NamedTuple):
     """A number of the paper beside one of ours."""
@@ -160,25 +158,11 @@ class Cell(NamedTuple):
     missing: str = ""  # what data it would take
     videos: int | None = None  # of one type of scenario, on which ours rests
 
-    @property
-    def loose(self) -> bool:
-        """Whether it is inside only because our interval is wide, or reaches below a bound."""
-        if self.verdict != "inside" or self.ours is None:
-            return False
-        value, low, high = (self.ours[name] for name in ("value", "ci_low", "ci_high"))
-        p = self.printed
-        if value is not None and p.below:
-            return value >= p.value
-        if value is None or low is None or high is None or high - low < LOOSE:
-            return False
-        return not (p.value if p.low is None else p.low) <= value <= (p.high or p.value)
-
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {
             **self.printed._asdict(), "label": self.label, "ours": self.ours,
-            "verdict": self.verdict, "loose": self.loose, "missing": self.missing,
-            "videos": self.videos,
+            "verdict": self.verdict, "missing": self.missing, "videos": self.videos,
         }  # fmt: skip
 
 
@@ -209,7 +193,7 @@ class Reproduction(NamedTuple):
             found[f"{cell.label}: {p.what}"] = {
                 "paper": ("< " if p.below else "") + measure_text(printed, digits=p.digits),
                 "ours": ours + (f" of {cell.videos}" if cell.videos else ""),
-                "verdict": cell.verdict + ", loosely" * cell.loose,
+                "verdict": cell.verdict,
                 "needs": cell.missing,
             }
         return pd.DataFrame.from_dict(found, orient="index")
@@ -406,8 +390,7 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
     words = (
         f"{', '.join(counts)}. Inside: the paper's value lies in the 95 % interval of ours, or "
         "ours in the paper's, or both are the same to the digits printed; of a bound, our interval "
-        f"does not lie above it. Loosely: only because our interval is wide ({LOOSE} or more), as "
-        "few videos make it, or reaches below a bound that our value does not hold."
+        "does not lie above it. A wide interval says little."
     )
     cells = [
         Table(place, made.table([*of_place]))

@@ -49,7 +49,6 @@ def test_what_a_file_gives_is_read_and_nothing_added() -> None:
     assert found["gnn"]["a"].answers == {"relation": "neutral"}
     assert found["gnn"]["a"].scenario is None
     assert found["green"]["c"].answers == {"goal_green": BLUE_TO_RED}
-    assert found["green"]["c"].top("goal_green", 2) == (BLUE_TO_RED, PINK_TO_BLUE)
 
 
 def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:

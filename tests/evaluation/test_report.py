@@ -12,7 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.evaluation import METRICS
+from phase_ppl.evaluation.evaluation import SETTINGS
 from phase_ppl.evaluation.report import MAX_ROWS, rows_of
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
@@ -138,9 +138,9 @@ def test_the_command_writes_the_report_and_bad_folders_and_places_are_named(
     target = tmp_path / "a new folder" / "a report.html"
     assert main(["report", str(folder.path), "--out", str(target)]) == 0
     assert capsys.readouterr().out.strip().endswith(str(target))
-    (folder.path / METRICS).write_text('{"goal_accuracy": ')
+    (folder.path / SETTINGS).write_text('{"model": ')
     assert main(["report", str(folder.path)]) == 2
-    assert METRICS in capsys.readouterr().err
+    assert SETTINGS in capsys.readouterr().err
     assert list(tmp_path.glob("**/*.html")) == [target]
 
 
