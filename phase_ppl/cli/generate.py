@@ -118,7 +118,6 @@ def train(options: Options) -> None:
         --variant extended|original|message_passing: default extended
         --option NAME=VALUE...: option of training, such as epochs=100 or looks=false; may be given
             several times
-        --resume: continue the training in DIR
         $progress
 
     example: phase-ppl train socialgnn --data events --out gnn

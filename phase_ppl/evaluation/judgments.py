@@ -68,7 +68,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, existing_file
+from phase_ppl.world.files import as_path
 from phase_ppl.world.scene import PHASE, World, check_is_phase
 
 Source: TypeAlias = "str | os.PathLike[str] | pd.DataFrame"
@@ -152,7 +152,7 @@ def load_judgments(
 
     Args:
         path: of the file, or a :class:`pandas.DataFrame`; or the folder of raters' files of the
-            public study, or one of them.
+            public study.
         events: events that may be judged, or their file or folder, of one world; it decides the
             questions. A row about another video is an error; a rater's answer about one is left
             out. Default: any events of PHASE.
@@ -169,7 +169,7 @@ def load_judgments(
     world = world_of(judged or ())
     if not isinstance(path, pd.DataFrame):
         source = as_path(path)
-        if source.is_dir() or _begins_a_list(source):
+        if source.is_dir():
             check_is_phase(world, "a rater's file")
             return read_raters(source, videos)
     table, notes = _read_table(path, world, videos)
@@ -484,12 +484,6 @@ _CHECK: Final = "_mm.mp4"
 _MAX_BYTES: Final = 2**20
 
 
-def _begins_a_list(path: Path) -> bool:
-    source = existing_file(path)
-    with in_front(f"{path}: "), reading_bytes("a file of judgments"), open(source, "rb") as file:
-        return file.read(64).lstrip(b"\xef\xbb\xbf \r\n").startswith(b"[")
-
-
 def read_raters(path: Path, videos: Collection[str] | None) -> Study:
     """Return the study of raters' answers about ``videos`` (None: all).
 
@@ -498,7 +492,7 @@ def read_raters(path: Path, videos: Collection[str] | None) -> Study:
             line; the message names file and line. Or none of these videos was judged.
         UnknownNameError: a relation is unknown.
     """
-    files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
+    files = sorted(path.glob("*.txt"))
     if not files:
         raise InvalidEventError(f"{path}: the folder holds no raters' files (.txt)")
     kept: list[dict[str, str]] = []

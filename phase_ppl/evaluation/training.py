@@ -3,14 +3,11 @@
 The folder that it writes::
 
     DIR/
-      training.json           what was asked for
-      members/3.npz, 3.json   a finished network, by seed, and how its training went
       extended.npz            all networks, called by their variant, and the report
       extended.json           the report
       extended.png            the curves
 
-A network is written whole or not at all. So interrupted training continues with the missing ones,
-and more can be added. Each network depends on its own seed only.
+Each network depends on its own seed only.
 """
 
 from __future__ import annotations
@@ -27,24 +24,22 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from phase_ppl.data.documents import read_json
 from phase_ppl.data.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.graphs import Examples, frame_graphs
-from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, needs_torch
+from phase_ppl.models.socialgnn.store import Arrays, Trained, TrainingSettings, needs_torch
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
     OutputError,
-    PhasePPLError,
     shown,
     whole_number,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
-from phase_ppl.world.identity import differences, versions
+from phase_ppl.world.identity import versions
 from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import check_is_phase
 
@@ -52,8 +47,6 @@ TRAINING, VALIDATION, TEST = "train", "validation", "test"
 """Splits of the set: networks learn from the first, the second says when to stop; where there is
 the third, the report scores it too."""
 
-ASKED: Final = "training.json"
-MEMBERS: Final = "members"
 Shares: TypeAlias = dict[str, FloatArray]  # question -> probabilities of its answers
 _MOST_SEEDS: Final = 1000
 _DIGITS: Final = 4
@@ -66,7 +59,6 @@ def train_socialgnn(
     seeds: int = 5,
     seed: int = 0,
     settings: TrainingSettings | None = None,
-    resume: bool = False,
     progress: bool | None = None,
 ) -> dict[str, Any]:
     """Train networks on a generated data set, and return the report, which is written too.
@@ -80,7 +72,6 @@ def train_socialgnn(
         seeds: number of networks.
         seed: of the first; the others have those that follow.
         settings: how each is trained.
-        resume: go on with what ``out`` holds, or add networks to it.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
@@ -90,8 +81,8 @@ def train_socialgnn(
     Raises:
         InvalidSettingError: PyTorch is not installed, or a number is not allowed.
         InvalidEventError: ``data`` holds no generated set, or none of a split.
-        OutputError: ``out`` cannot be written, holds a training of something else, or another
-            process is at work in it.
+        OutputError: ``out`` cannot be written, holds networks already, or another process is at
+            work in it.
     """
     settings = settings or TrainingSettings.of("extended")
     n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
@@ -110,11 +101,10 @@ def train_socialgnn(
     }
     folder = writable_folder(out)
     with locked(folder):
-        _prepare(folder, asked, resume)
-        missing = [one for one in wanted if not _is_finished(folder, one)]
-        if missing:
-            _train(folder, missing, splits, settings, progress)
-        return _finish(folder, wanted, splits, settings, asked, progress)
+        if (folder / f"{settings.variant}.npz").exists():
+            raise OutputError(f"{folder} holds networks already: name another")
+        arrays, records = _train(wanted, splits, settings, progress)
+        return _finish(folder, arrays, records, splits, settings, asked, progress)
 
 
 def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[str, Any]:
@@ -130,43 +120,19 @@ def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[st
     }
 
 
-def _prepare(folder: Path, asked: dict[str, Any], resume: bool) -> None:
-    target = folder / ASKED
-    if target.exists():
-        if not resume:
-            raise OutputError(f"{folder} holds a training already; resume it, or name another")
-        apart = differences(read_json(target), asked)
-        if apart:
-            raise OutputError(f"{folder} holds a training of something else: {'; '.join(apart)}")
-    writable_folder(folder / MEMBERS)
-    if not target.exists():
-        write_json(target, asked)
-
-
-def _is_finished(folder: Path, seed: int) -> bool:
-    record = folder / MEMBERS / f"{seed}.json"
-    if not record.is_file():  # it is written last
-        return False
-    try:
-        store.load(record.with_suffix(".npz"))
-        recorded = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
-        return read_json(record).keys() >= recorded
-    except PhasePPLError:  # damaged: it is trained again
-        return False
-
-
 def _train(
-    folder: Path,
     seeds: Sequence[int],
     splits: dict[str, list[Event]],
     settings: TrainingSettings,
     progress: bool | None,
-) -> None:
+) -> tuple[list[Arrays], list[dict[str, Any]]]:
+    """Return the networks, and how the training of each went."""
     from phase_ppl.models.socialgnn.network import fit
 
     training, validation = (
         Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)
     )
+    arrays, records = [], []
     with Bar(len(seeds) * settings.epochs, 0, progress, "epoch", "training") as bar:
         for seed in seeds:
             clock = time.process_time()
@@ -174,35 +140,40 @@ def _train(
             seconds = time.process_time() - clock
             for _ in range(settings.epochs - len(fitted.curves["training"])):
                 bar.update()  # for epochs that were not needed
-            store.save([fitted.arrays], folder / MEMBERS / f"{seed}.npz")
             curves = {
                 name: [round(value, _DIGITS) for value in values]
                 for name, values in fitted.curves.items()
             }
-            record = {
-                "seed": seed,
-                "epochs": len(curves["training"]),
-                "best_epoch": fitted.best + 1,
-                "cpu_seconds": round(seconds, 1),
-                "curves": curves,
-            }
-            write_json(folder / MEMBERS / f"{seed}.json", record)
+            arrays.append(fitted.arrays)
+            records.append(
+                {
+                    "seed": seed,
+                    "epochs": len(curves["training"]),
+                    "best_epoch": fitted.best + 1,
+                    "cpu_seconds": round(seconds, 1),
+                    "curves": curves,
+                }
+            )
+    return arrays, records
 
 
 def _finish(
     folder: Path,
-    seeds: Sequence[int],
+    arrays: Sequence[Arrays],
+    records: Sequence[dict[str, Any]],
     splits: dict[str, list[Event]],
     settings: TrainingSettings,
     asked: dict[str, Any],
     progress: bool | None,
 ) -> dict[str, Any]:
-    """Put the networks together, score them, write the report and draw the curves."""
+    """Write the networks, score them as they are read again, write the report, draw the curves."""
     from phase_ppl.analysis.figures.curves import training_curves
     from phase_ppl.models.socialgnn.network import Ensemble
 
     variant, threads = settings.variant, settings.threads
-    members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
+    file = folder / f"{variant}.npz"
+    store.save(arrays, file)
+    members = store.load(file).members
     networks = [Ensemble(Trained(variant, (member,)), threads) for member in members]
     said: list[dict[str, Shares]] = [{} for _ in networks]  # what each says of each event
     events = [event for of_split in splits.values() for event in of_split]
@@ -215,19 +186,19 @@ def _finish(
         for name, shares in said[0].items()
     }
     report = {
-        "command": _command(settings, seeds),
+        "command": _command(settings, [record["seed"] for record in records]),
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
         "together": _accuracy(splits, together, intervals=True),
         "members": [
-            {**read_json(folder / MEMBERS / f"{seed}.json"), "accuracy": _accuracy(splits, answers)}
-            for seed, answers in zip(seeds, said, strict=True)
+            {**record, "accuracy": _accuracy(splits, answers)}
+            for record, answers in zip(records, said, strict=True)
         ],
     }
     write_json(folder / f"{variant}.json", report)
     written = (folder / f"{variant}.json").read_bytes()
-    store.save(members, folder / f"{variant}.npz", written)
+    store.save(members, file, written)
     training_curves(report, folder / f"{variant}.png")
     return report
 

@@ -100,12 +100,11 @@ SAID = {EVENTS[0].id: "friendly", EVENTS[1].id: "adversarial"}
 
 def test_nothing_about_the_person_is_kept(tmp_path: Path) -> None:
     folder = write(tmp_path / "responses", "5d6f_2021-09-16.txt", lines_of(SAID))
-    for path in (folder, folder / "5d6f_2021-09-16.txt"):
-        study = ppl.load_judgments(path, EVENTS)
-        assert set(study.table["participant"]) == {"rater-1"}
-        kept = study.table.to_csv() + repr(study) + str(ppl.with_judgments(EVENTS, study))
-        for personal in ("33", "none of them", "5d6f", "ethnicity"):
-            assert personal not in kept
+    study = ppl.load_judgments(folder, EVENTS)
+    assert set(study.table["participant"]) == {"rater-1"}
+    kept = study.table.to_csv() + repr(study) + str(ppl.with_judgments(EVENTS, study))
+    for personal in ("33", "none of them", "5d6f", "ethnicity"):
+        assert personal not in kept
     lines = ["[personal, and no JSON", *lines_of(SAID)[1:]]
     study = ppl.load_judgments(write(folder, "5d6f_2021-09-16.txt", lines), EVENTS)
     assert study.table["answer"].tolist() == ["friendly", "adversarial"]
@@ -116,7 +115,7 @@ def test_a_file_with_a_wrong_check_is_left_out(tmp_path: Path, check: str) -> No
     lines = lines_of(SAID, wrong=check)
     if check == "neutral":
         lines[2] = lines[2].replace('"neutral"', '"friendly"')
-    path = write(tmp_path / "responses", "a.txt", lines) / "a.txt"
+    path = write(tmp_path / "responses", "a.txt", lines)
     with pytest.raises(InvalidEventError, match=r"0 of 1 raters' files kept, 1 with a wrong att"):
         ppl.load_judgments(path, EVENTS)
 

@@ -150,49 +150,20 @@ def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None
 
 
 @needs_torch
-def test_a_folder_is_resumed_only_by_the_same_training(data: Path, trained: Path) -> None:
-    with pytest.raises(OutputError, match="holds a training already; resume it"):
+def test_a_folder_that_holds_networks_is_left_alone(data: Path, trained: Path) -> None:
+    with pytest.raises(OutputError, match="holds networks already"):
         ppl.train_socialgnn(data, trained, seeds=2, settings=QUICK, progress=False)
-    other = TrainingSettings.of("extended", epochs=4)
-    with pytest.raises(OutputError, match=r"something else: settings\.epochs is 4, was 3"):
-        ppl.train_socialgnn(data, trained, settings=other, resume=True)
     with locked(trained), pytest.raises(OutputError, match="another process is at work"):
-        ppl.train_socialgnn(data, trained, settings=QUICK, resume=True)
+        ppl.train_socialgnn(data, trained, settings=QUICK)
 
 
 @needs_torch
-def test_damaged_networks_are_trained_again(data: Path, trained: Path, tmp_path: Path) -> None:
+def test_the_command_trains_the_same_networks(
+    data: Path, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
-    shutil.copytree(trained, out)
-    (out / "members" / "0.json").write_text('{"seed": 0}')
-    (out / "members" / "1.npz").write_text("PK")
-    ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, resume=True, progress=False)
-    assert load(out).digest() == load(trained).digest()
-    report, before = (json.loads((d / "extended.json").read_text()) for d in (out, trained))
-    assert report["together"] == before["together"]
-
-
-@needs_torch
-def test_interrupted_training_keeps_what_is_finished(
-    data: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    from phase_ppl.models.socialgnn import network
-
-    fit, out = network.fit, tmp_path / "out"
-
-    def stops(*given: Any) -> Any:
-        if given[3] == 1:
-            raise KeyboardInterrupt
-        return fit(*given)
-
-    monkeypatch.setattr(network, "fit", stops)
-    command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2",
-               "--option", "epochs=3", "--quiet"]  # fmt: skip
-    assert main(command) == 130
-    assert "--resume" in capsys.readouterr().err
-    monkeypatch.undo()
-    assert main([*command, "--resume"]) == 0
+    command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2"]
+    assert main([*command, "--option", "epochs=3", "--quiet"]) == 0
     printed = capsys.readouterr().out
     assert "seed 1" in printed
     assert f"--weights {out}" in printed
