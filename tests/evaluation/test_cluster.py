@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import time
 from pathlib import Path
@@ -89,16 +88,3 @@ def test_the_command_works_on_a_cluster_and_one_that_is_closed_leaves_what_can_b
     capsys.readouterr()
     assert main([*given, "--dask", "nonsense://1"]) == 2
     assert "--dask nonsense://1: no scheduler answers" in capsys.readouterr().err
-
-
-def test_one_call_does_all_the_work_as_executors_share_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for call in (ppl.evaluate, ppl.generate, ppl.compare):
-        taken = inspect.signature(call).parameters
-        assert "executor" in taken
-        assert "shard" not in taken
-    assert not hasattr(ppl, "merge")
-    with pytest.raises(SystemExit):
-        main(["evaluate", "collaborate", "--shard", "1/2", "--out", str(tmp_path)])
-    assert "unrecognized arguments: --shard" in capsys.readouterr().err

@@ -11,7 +11,6 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.cli.users_parts import options_of
 from phase_ppl.evaluation import figures
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
@@ -200,42 +199,26 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) ->
     assert ppl.ModelComparison.load(OUT).models == ["right", "stops_once"]
 
 
-def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
-    models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
-    given = {"size": 2, "two.size": 3, "any.what": 4}
-    found = options_of(models, {}, given)
-    assert [*found.values()] == [{"size": 2}, {}, {"size": 3}, {"size": 2, "what": 4}]
-    alone = options_of({"x": "y"}, {"a": 1}, {"b": 2, "x.c": 3})
-    assert alone == {"x": {"a": 1, "b": 2, "c": 3}}
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ("nowhere.json", "nowhere.json: no such file"),
         ("", "EVENTS is missing"),
-        ("--out nowhere --resume", "EVENTS is missing"),
         ("--out nowhere", "nowhere holds no evaluation"),
         ("--out nowhere --limit 2 --seed 0", "EVENTS is missing with --limit, --seed"),
         ("EVENTS --model last_frame --planner fast", "planner"),
         ("EVENTS --planner fast --option planner=paper", "given twice"),
-        ("EVENTS --option size", "NAME=VALUE"),
         ("EVENTS --resume", "--resume needs --out"),
-        ("EVENTS --model right --judgments nowhere.csv", "nowhere.csv: no such file"),
         ("EVENTS --model stops --against right", "--stored and --against are for several models"),
         # of several models
-        ("EVENTS --model right --model rigth", "'right'"),
         ("BOTH --option wrong.size=2", "wrong"),
-        ("BOTH --planner fast", "planner: none of the models right, wrong"),
         ("BOTH --option ritgh.size=2", "did you mean 'right'"),
-        ("BOTH --option size=2 --option size=3", "size: given twice"),
         ("BOTH --option right.seed=2", "seed: no option of a model"),
         ("EVENTS --model right --model right", "given twice: name them, as in --model o"),
         ("EVENTS --model ../a=right", "'../a' is no name for a folder"),
         ("BOTH --against nobody", "model to compare with 'nobody'"),
         ("BOTH --stored theirs", "stored model 'theirs'"),
         ("EVENTS --model right --model people=wrong", "called 'people', as people are"),
-        ("BOTH --resume", "--resume needs --out"),
         ("BOTH --out single", "holds an evaluation of one model"),
     ],
 )

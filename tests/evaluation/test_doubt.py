@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.evaluation import doubt as module
 from phase_ppl.evaluation.doubt import calibration, ceiling
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.table import Answers
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 from tests.analysis.pages import texts_apart
@@ -67,7 +69,8 @@ def test_intervals_of_r_are_as_wide_as_it_varies_between_sets_of_videos() -> Non
         p = rng.dirichlet(np.ones(3), 40)
         votes = [rng.multinomial(12, 0.6 * one + 0.4 * rng.dirichlet(np.ones(3))) for one in p]
         judged = [make_event(f"e{i}", COLLABORATIVE, v.tolist()) for i, v in enumerate(votes)]
-        found = doubt(p, judged)["relation_r"]
+        answers = Answers.of(judged, predictions(p))
+        found = module.doubt(answers, resamples=200)["relation_r"]  # type: ignore[index]
         values.append(found["value"])
         widths.append(found["ci_high"] - found["ci_low"])
     assert 0.75 < np.mean(widths) / (2 * 1.96 * np.std(values)) < 1.35

@@ -77,13 +77,6 @@ def test_study_holds_what_the_file_says_and_shares_of_those_who_answered(tmp_pat
     assert red[GOALS.index(BLUE_TO_RED)] == 1
 
 
-def test_relations_alone_are_a_study(tmp_path: Path) -> None:
-    file = write(tmp_path, "video,relation,participant\na,friendly,p\n")
-    judgments = load_judgments(file).judgments["a"]
-    assert list(judgments.counts) == ["relation"]
-    assert judgments.distribution("goal_red") is None
-
-
 CHANGES: list[Callable[[str], str]] = [
     lambda text: "\ufeff" + text,
     lambda text: text.replace("\n", "\r\n"),
@@ -127,16 +120,12 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
         ),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
         (f"{HEADER}\np\x1b[2J,a,,,friendly,", "line 2: participant is 'p.*printable"),
-        *(
-            (f"{HEADER}\np01,a,,,friendly,{time}", f"line 2: response_time is '{time}', expected")
-            for time in ("-1", "soon", "1e999", "1_0")
-        ),
+        (f"{HEADER}\np01,a,,,friendly,1e999", "line 2: response_time is '1e999', expected"),
         (f'{HEADER}\n\n{ROW}\np02,a,,,"friendly,\n', "line 4: is no CSV: unexpected end of data"),
         (f"{HEADER}\n{'x' * 200_000},a,,,friendly,", "line 2: is no CSV: field larger than"),
         (b"PK\x03\x04\x00\x00", "is no CSV file in UTF-8: it holds zero bytes"),
         (b"\x80\x04\x95\x10", "is no CSV file in UTF-8"),
         # cells with lines of their own
-        (f'{HEADER}\n"p01",a,,,"friend\nly",', r"line 2: relation: unknown .* 'friend\\nly'"),
         (
             f'{HEADER}\np01,a,"Get blue item\nto red lm",,,\np02,a,,,foe,',
             "line 4: relation: unknown relation 'foe'",
@@ -157,10 +146,6 @@ def test_bad_file_is_refused_with_its_line(
 @pytest.mark.parametrize(
     ("content", "messages"),
     [
-        (
-            "participant,video,goal_rde,relatoin,\n",
-            ["line 1: unknown column 'goal_rde'", "; unknown column 'relatoin'"],
-        ),
         (
             f"{HEADER}\n{ROW}\np02,a,flee,,foe,soon\n{ROW}\n{ROW}",
             [
@@ -385,13 +370,10 @@ def test_a_label_without_a_number_beside_ratings_is_no_choice() -> None:
     assert "1 of graded answers, without a number" in study.summary
 
 
-@pytest.mark.parametrize(
-    "shares",
-    [{"friendly": math.nan, "neutral": 1}, {"friendly": 1.5, "neutral": -0.5}, {"friendly": "1"}],
-)
-def test_shares_that_are_none_are_refused(shares: dict[str, Any]) -> None:
-    with pytest.raises(InvalidEventError, match=r"relation has the share .* of friendly"):
-        Judgments.of_responses({"p": {"relation": shares}})
+def test_shares_that_are_none_are_refused() -> None:
+    for shares in ({"friendly": math.nan, "neutral": 1}, {"friendly": 1.5, "neutral": -0.5}):
+        with pytest.raises(InvalidEventError, match=r"relation has the share .* of friendly"):
+            Judgments.of_responses({"p": {"relation": shares}})
 
 
 def test_errors_about_a_data_frame_name_it() -> None:
@@ -468,7 +450,6 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
     [
         ({"relation_count": {"friendly": 3}}, "has .'relation_count'., expected one of"),
         ({"relation_counts": {"friendly": -1}}, "relation_counts.*Expected 'int' >= 0"),
-        ({"relation_counts": {"friendly": True}}, "relation_counts.*got 'bool'"),
         ({"relation_counts": {"friendly": 10**12}}, "relation_counts.*<= 999999999"),
         ({"relation_counts": {"freindly": 1}}, "unknown relation 'freindly'; did you mean"),
         (
@@ -476,18 +457,11 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
             "n_raters is 2, .* 3 votes on",
         ),
         ({"relation_counts": {"friendly": 3}, "n_raters": 5}, "n_raters is 5, .* 3 in all"),
-        ({"n_raters": 4}, "n_raters is 4, .* 0 in all"),
         ({"goal_counts": {"blue agent": {}}}, "unknown agent in goal_counts 'blue agent'"),
-        ({"goal_counts": 3}, "goal_counts: Expected 'object"),
-        ({"responses": {}}, "responses: Expected 'array"),
         ({"responses": [{"relation": "friendly"}]}, "responses.0. has the participant ''"),
         ({"responses": [{"participant": "a", "mood": "x"}]}, "unknown question 'mood'"),
         ({"responses": [{"participant": "a"}] * 2}, "names the participant 'a' twice"),
         ({**ONE, "relation_counts": {"neutral": 1}}, "counts of relation contradict the responses"),
-        (
-            {**ONE, "goal_counts": {"red agent": {BLUE_TO_RED: 1}}},
-            "the counts of goal_red contradict the responses",
-        ),
     ],
 )
 def test_bad_votes_are_refused_and_the_event_is_named(record: dict[str, Any], message: str) -> None:

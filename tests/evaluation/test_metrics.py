@@ -233,28 +233,10 @@ def test_without_truth_judgments_or_predictions_figures_are_none() -> None:
     assert metrics["goal_accuracy"]["value"] == 1
 
 
-def test_seed_decides_the_interval_and_nothing_else() -> None:
-    made = by_id(
-        *(
-            shares(event.id, goal_red={BLUE_TO_RED: p, PINK_TO_BLUE: 1 - p})
-            for event, p in zip(EVENTS, (0.1, 0.3, 0.4, 0.8), strict=True)
-        )
-    )
-    first, again, other = (
-        evaluate_predictions(EVENTS, made, seed=seed, resamples=50) for seed in (1, 1, 2)
-    )
-    assert first == again
-    assert first["goal_accuracy"] == other["goal_accuracy"]
-    score, another = (one["goal_log_score_truth"] for one in (first, other))
-    assert score != another
-    assert score["value"] == another["value"]
-
-
 @pytest.mark.parametrize(
     ("given", "error", "message"),
     [
         ({"seed": -1}, InvalidSettingError, "seed"),
-        *(({"resamples": n}, InvalidSettingError, "resamples") for n in (0, 1.5)),
         ({"predictions": {"a": ANSWERS["b"]}}, InvalidSettingError, "'a' is of the event 'b'"),
         ({"events": [EVENTS[0]] * 2}, InvalidEventError, "two events with the id 'a'"),
     ],
@@ -396,14 +378,6 @@ def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say(n: int
         apart += differ["p"] <= 0.05  # type: ignore[operator]
     assert inside / runs == pytest.approx(0.95, abs=0.02)
     assert apart / runs < 0.065
-
-
-def test_models_that_agree_on_few_events_are_not_known_to_agree() -> None:
-    values = weighted_mean(resampled(5), np.zeros((5, 1)))
-    found = difference(values, values, 5, of_shares=True)
-    assert found is not None
-    assert found["value"] == 0
-    assert found["ci_low"] < -0.2 < 0.2 < found["ci_high"]  # type: ignore[operator]
 
 
 def test_what_differs_by_the_margin_is_called_equivalent_in_one_of_twenty_cases() -> None:

@@ -77,14 +77,6 @@ def test_a_model_is_asked_about_the_film_until_each_moment(tmp_path: Path) -> No
     assert [of["at"] for of in gone_on.metrics["moments"]["by_moment"]] == [0.25, 0.5, 0.75]
 
 
-def test_pooled_agreement_is_over_all_moments(tmp_path: Path) -> None:
-    study = ppl.load_judgments(table(), EVENTS)
-    found = evaluate(EVENTS, grows, judgments=study)
-    rows = found.to_dataframe().dropna(subset=["at", "people"])
-    expected = np.corrcoef(rows["probability"], rows["people"])[0, 1]
-    assert found.metrics["moments"]["relation_r"]["value"] == pytest.approx(expected)
-
-
 def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> None:
     study = ppl.load_judgments(table(), EVENTS)
     found = {

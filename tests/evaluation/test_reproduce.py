@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import pandas as pd
 import pytest
 
 import phase_ppl as ppl
@@ -28,7 +28,6 @@ from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownName
 from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
 from tests.models.walks import eight, make_set
-from tests.test_cli import fails
 
 TAGS = "participant,video,label\np1,a,helping\np2,a,helping\np1,b,chasing\np2,b,\n"
 VOTES = {COLLABORATIVE: (9, 1, 0), INDEPENDENT: (1, 8, 1), COMPETING: (0, 2, 8),
@@ -66,22 +65,6 @@ def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
     assert len(known) == len(PRINTED)
     assert known[SIMPLE, "goals right, competing"] == (0.59, 0.41, 0.77)
     assert known[SIMPLE, "r with people, goals"] == (0.82, 0.78, 0.85)
-
-
-def test_the_mean_rating_of_few_videos_has_the_interval_of_student() -> None:
-    rows = [
-        {"participant": f"{group}{rating}", "video": f"{group}{rating}", "group": group,
-         "rating": rating}
-        for group in ("played", "generated") for rating in (3, 4, 5)
-    ]  # fmt: skip
-    found = module._of_likeness(ppl.Likeness(pd.DataFrame(rows)))
-    half = 4.3027 / 3**0.5
-    mean = {"value": 4, "ci_low": 4 - half, "ci_high": 4 + half}
-    assert found["played"] == pytest.approx(mean, abs=1e-4)
-    # of a standard deviation of 1, chi-squared with two degrees of freedom
-    low, high = (2 / 7.3778) ** 0.5, (2 / 0.050636) ** 0.5
-    spread = {"value": 1, "ci_low": low, "ci_high": high}
-    assert found["played_sd"] == pytest.approx(spread, abs=1e-4)
 
 
 def test_a_model_is_like_people_where_nothing_shows_that_they_differ() -> None:
@@ -122,6 +105,7 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
         "models_of": lambda profile, store: dict(asked),
         "model_info": lambda name: absent if name == "absent" else info(name),
         "not_installed": lambda needs, _: said if needs else None,
+        "compare_models": functools.partial(module.compare_models, resamples=200),
     }.items():
         monkeypatch.setattr(module, name, stands_in)
 
@@ -232,14 +216,6 @@ def test_videos_that_people_steer_give_cells_where_they_are_judged(
     # beside them those of the generated videos: all modes of ``VOTES`` are right
     assert found["people", "mode of responses right, relations"].ours["value"] == 1
     assert "does not say" in found["PHASE", "most events of a goal category"].missing
-
-
-def test_what_cannot_be_read_loses_nothing(
-    cheap: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ("reproduce", "--out", tmp_path / "out", "--quiet", "--videos")
-    assert "no.json" in fails(capsys, *command, tmp_path / "no.json")
-    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_generated_events_are_no_real_videos(cheap: None, tmp_path: Path) -> None:

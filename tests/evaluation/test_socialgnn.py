@@ -102,8 +102,6 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for options, message in (
         ({"member": 5, "variant": "message_passing"}, "member=5, expected 0 to 4"),
-        ({"member": True}, "member=True"),
-        ({"member": 1}, "member=1, expected 0"),
         ({"threads": 0}, "threads=0"),
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
@@ -204,12 +202,9 @@ def test_wrong_options_of_the_command_are_refused(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["train", "socialgnn", "--data", str(data), "--out", str(tmp_path / "out")]
-    assert main([*command, "--option", "epochs=3", "--option", "epochs=4"]) == 2
-    assert "--option epochs: given twice" in capsys.readouterr().err
     for option, message in (
         ("epoch=3", "unknown option 'epoch'; did you mean 'epochs'"),
         ("dropout=2", "dropout=2, expected a number from 0 to 0.9"),
-        ("looks=3", "looks=3, expected True or False"),
     ):
         assert main([*command, "--option", option]) == 2
         assert message in capsys.readouterr().err
