@@ -66,6 +66,7 @@ from phase_ppl.evaluation.judgments import with_judgments as with_judgments
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
 from phase_ppl.evaluation.metrics import reference_models as reference_models
+from phase_ppl.evaluation.models.socialgnn import train_socialgnn as train_socialgnn
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.prediction import pairs_of as pairs_of
 from phase_ppl.evaluation.prediction import questions_of as questions_of
@@ -79,7 +80,6 @@ from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
 from phase_ppl.evaluation.reproduce import Reproduction as Reproduction
 from phase_ppl.evaluation.reproduce import reproduce as reproduce
-from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
 from phase_ppl.inference import kernels as kernels
 from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
 from phase_ppl.inference.compare import compare as compare

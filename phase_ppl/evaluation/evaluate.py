@@ -186,14 +186,7 @@ def evaluate(
 
         for event in chosen:
             if event.id in done and not set(moments_of(event)) <= set(done[event.id].moments):
-                # an observer's answers are not those of the posterior, which is kept beside them
-                again = None
-                if folder is not None and observer is None:
-                    again = folder.with_moments(event)
-                if again is None:
-                    del done[event.id]
-                else:
-                    done[event.id] = again
+                del done[event.id]
         left = sorted(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,

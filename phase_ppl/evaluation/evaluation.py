@@ -41,8 +41,8 @@ from phase_ppl.evaluation.metrics import (
     human_accuracy,
     reference_models,
 )
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions, until_moments
-from phase_ppl.evaluation.ratings import REHEARSAL, moments_of, rehearsed
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import (
     PEOPLE,
     Answers,
@@ -492,20 +492,6 @@ class ResultsFolder:
                 f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"
             )
         return prediction
-
-    def with_moments(self, event: Event) -> Prediction | None:
-        """Return an event's prediction at the moments at which people judged it, and keep it.
-
-        They are read off its posterior. None: it has none.
-        """
-        source = self.folder_of(event.id) / POSTERIOR
-        made = self.prediction(event.id)
-        if made is None or not source.is_file():
-            return None
-        moments, hindsight = until_moments(load_posterior(source), moments_of(event))
-        found = dataclasses.replace(made, moments=moments, hindsight=hindsight)
-        write_json(source.with_name(PREDICTION), found.to_dict())
-        return found
 
     def write_failures(self, failures: Mapping[str, str]) -> None:
         """Keep what went wrong, by event."""

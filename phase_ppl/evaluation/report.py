@@ -24,7 +24,7 @@ from phase_ppl.evaluation.comparison import (
     equivalence_tables,
 )
 from phase_ppl.evaluation.evaluation import COMPARISON, SETTINGS
-from phase_ppl.evaluation.figures.frame import Results, drawings_of, opened
+from phase_ppl.evaluation.figures.frame import DRAWINGS, Results, opened
 from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import (
@@ -133,7 +133,7 @@ def page_of(
         told = [f"{state}.", *told]
         settings = {"failures": results.failures, **results.settings, "cost": results.cost}
     found: list[Drawn] = [
-        (o.title, o.alt, functools.partial(o.draw, results)) for o in drawings_of(results).values()
+        (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
     ]
     drawn, left_out = [], []
     for name, alt, draw in [*found, *more]:

@@ -298,8 +298,7 @@ def test_the_terminal_evaluates_and_reports_a_model_and_people_of_another_world(
                   "people on relations"):  # fmt: skip
         assert words in printed
     drawn = {path.name for path in (out / "figures").iterdir()}
-    assert {"accuracy.png", "correlation.png"} <= drawn
-    assert {"scatter_goals.png", "scatter_relations.png"} <= drawn
+    assert {"accuracy.png", "correlation.png", "scatter_goals.png"} <= drawn
     assert "confusion.png" not in drawn  # there are no scenarios
     page = ppl.report(out).read_text("utf-8")
     for words in ("Goal of the purple agent", "Relation of red &amp; green", "red &amp; purple",

@@ -92,8 +92,6 @@ def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> N
     assert people.get_xdata() == pytest.approx(MOMENTS)
     assert len(models) == 2
     assert len(figure.axes[0].collections) == 1, "intervals of people's mean"
-    figure = ppl.figures.by_moment(comparison, tmp_path / "by.png")
-    assert len(figure.axes) == 2  # relations alone were judged
     with pytest.raises(ppl.errors.InvalidSettingError, match="nobody judged at a moment"):
         ppl.figures.over_time(evaluate(EVENTS, grows))
 

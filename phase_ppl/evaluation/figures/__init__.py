@@ -9,24 +9,21 @@ a figure, it raises :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawErr
 # pages show the figures in the order of these imports
 # isort: off
 from phase_ppl.evaluation.figures.frame import DRAWINGS, draw_figures
-from phase_ppl.evaluation.figures.rows import accuracy, correlation, confusion, equivalence
-from phase_ppl.evaluation.figures.people import by_moment, likeness, over_time, people
-from phase_ppl.evaluation.figures.people import scatter_goals, scatter_relations, tags
+from phase_ppl.evaluation.figures.rows import accuracy, correlation, confusion
+from phase_ppl.evaluation.figures.people import likeness, over_time, people
+from phase_ppl.evaluation.figures.people import scatter_goals, tags
 # isort: on
 
 __all__ = [
     "DRAWINGS",
     "accuracy",
-    "by_moment",
     "confusion",
     "correlation",
     "draw_figures",
-    "equivalence",
     "likeness",
     "over_time",
     "people",
     "scatter_goals",
-    "scatter_relations",
     "tags",
 ]
 

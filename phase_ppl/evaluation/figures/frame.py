@@ -46,8 +46,6 @@ class Drawing(NamedTuple):
     title: str  # its content, in a few words
     alt: str  # alternative text for people who cannot see it
     draw: Callable[..., Figure]  # draws results, and writes the figure to a path
-    compares: bool  # whether it needs a comparison of models
-    of_moments: bool  # whether it needs judgments at moments of a film
 
 
 DRAWINGS: Final[dict[str, Drawing]] = {}
@@ -56,12 +54,11 @@ DRAWINGS: Final[dict[str, Drawing]] = {}
 _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
-def drawing(
-    title: str, alt: str, *, compares: bool = False, of_moments: bool = False
-) -> Callable[[_Draw], _Draw]:
+def drawing(title: str) -> Callable[[_Draw], _Draw]:
     """Return a decorator: draw in the common style, write, and register in :data:`DRAWINGS`.
 
-    Figures of a rehearsal say so.
+    The first line of the function's documentation is the alternative text. Figures of a rehearsal
+    say so.
     """
 
     def keep(draw: _Draw) -> _Draw:
@@ -74,7 +71,8 @@ def drawing(
             return written(figure, path)
 
         styled: Any = in_style(marked)
-        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares, of_moments)
+        alt = str(draw.__doc__).partition("\n")[0]
+        DRAWINGS[draw.__name__] = Drawing(title, alt, styled)
         return styled
 
     return keep
@@ -86,14 +84,6 @@ def opened(source: Source) -> Results:
         return source
     comparison = (Path(source) / COMPARISON).is_file()
     return (ModelComparison if comparison else Evaluation).load(source)
-
-
-def compared(source: Source) -> ModelComparison:
-    """Open a comparison of models; NothingToDrawError: the results are of an evaluation."""
-    found = opened(source)
-    if not isinstance(found, ModelComparison):
-        raise NothingToDrawError("the results are of an evaluation, not of a comparison of models")
-    return found
 
 
 def scenarios_of(results: Results) -> dict[str, str]:
@@ -139,10 +129,8 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
     """
     results = opened(source)
     target = writable_folder(folder / FOLDER)
-    files, drawings = [], drawings_of(results)
-    for name in DRAWINGS.keys() - drawings.keys():  # of earlier results
-        (target / f"{name}.png").unlink(missing_ok=True)
-    for name, drawing in drawings.items():
+    files = []
+    for name, drawing in DRAWINGS.items():
         file = target / f"{name}.png"
         try:
             drawing.draw(results, file)
@@ -153,14 +141,3 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
         else:
             files.append(file)
     return files
-
-
-def drawings_of(results: Results) -> dict[str, Drawing]:
-    """Return the drawings for results of this kind."""
-    compares = isinstance(results, ModelComparison)
-    moments = any(one.metrics.get("moments") for one in results.measured)
-    return {
-        name: one
-        for name, one in DRAWINGS.items()
-        if (compares or not one.compares) and (moments or not one.of_moments)
-    }

@@ -20,7 +20,7 @@ from phase_ppl.analysis.figures.style import (
     warned,
     written,
 )
-from phase_ppl.evaluation.cells import KIND_WORDS, measure_text, number
+from phase_ppl.evaluation.cells import measure_text, number
 from phase_ppl.evaluation.doubt import label_places, rows_of
 from phase_ppl.evaluation.experiments import (
     MARGIN,
@@ -41,7 +41,6 @@ from phase_ppl.evaluation.figures.frame import (
     scenarios_of,
     width_of,
 )
-from phase_ppl.evaluation.metrics import PREFIX
 from phase_ppl.evaluation.metrics import at as metric_at
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
@@ -58,50 +57,29 @@ if TYPE_CHECKING:
 # --- probabilities against shares
 
 
-@drawing(
-    "Goals: models against people",
-    "Points: probability of a goal for a model against that for people.",
-)
+@drawing("Goals: models against people")
 def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of goals against people's.
 
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    return _scatter(source, path, "goal", "agents' goals")
-
-
-@drawing(
-    "Relations: models against people",
-    "Points: probability of a relation for a model against that for people.",
-)
-def scatter_relations(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' probabilities of relations against people's.
-
-    Raises:
-        NothingToDrawError: nobody judged what a model gives probabilities for.
-    """
-    return _scatter(source, path, "relation", "relations")
-
-
-def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Figure:
-    """Draw a row per model, a column per true scenario."""
     results = opened(source)
     scenarios = scenarios_of(results)
     clouds: dict[AnswerSet, pd.DataFrame] = {}
     for o in results.measured:
         rows = Answers.of(results.events, o.predictions).whole
-        rows = rows[rows["kind"] == kind].dropna(subset=["people", "probability"])
+        rows = rows[rows["kind"] == "goal"].dropna(subset=["people", "probability"])
         if o.kind != "people" and len(rows):
             clouds[o] = rows.assign(scenario=[scenarios.get(event, "") for event in rows["event"]])
     if not clouds:
-        raise NothingToDrawError(f"people judged no {kind} that a model gives probabilities for")
+        raise NothingToDrawError("people judged no goal that a model gives probabilities for")
     present = {name for rows in clouds.values() for name in rows["scenario"]}
     columns = [name for name in (*SCENARIOS, "") if name in present]
     figure = new_figure(
         width_of(clouds) + 0.3 + 1.4 * max(len(columns), 2),
         1.0 + 1.4 * len(clouds),
-        note=f"Probabilities of the {what}; n: events.",
+        note="Probabilities of the agents' goals; n: events.",
     )
     grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
     for line, (answers, rows) in zip(grid, clouds.items(), strict=True):
@@ -112,7 +90,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
                 clip_on=False, data=rows[rows["scenario"] == name],
             )  # fmt: skip
             axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
-        r = metric_at(answers.metrics, ("human", f"{kind}_r"))
+        r = metric_at(answers.metrics, ("human", "goal_r"))
         label = answers.label if r is None else f"{answers.label}\nr = {number(r['value'])}"
         line[0].set_ylabel(
             label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
@@ -135,11 +113,7 @@ _MODELS: Final = 6  # that are drawn
 _PARTS: Final = ("relation_r", "relation_r_given_truth")
 
 
-@drawing(
-    "Doubt: models against people",
-    "Points: probabilities of relations against people's shares, as they are and given the "
-    "truth, with both correlations.",
-)
+@drawing("Doubt: models against people")
 def people(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's shares.
 
@@ -223,12 +197,7 @@ def _models(source: Source) -> tuple[list[Event], list[AnswerSet]]:
     return [event for event in results.events if event.id in set(judged)], models
 
 
-@drawing(
-    "People and models over time",
-    "Lines: people's shares of an answer and models' probabilities of it over the film, a row for "
-    "each of up to four events.",
-    of_moments=True,
-)
+@drawing("People and models over time")
 def over_time(source: Source, path: PathLike | None = None) -> Figure:
     """Draw people and models over the film, for up to four events and five answers each.
 
@@ -303,65 +272,6 @@ def _of_people(
         )
         within.append(np.quantile(times @ shares / len(shares), [0.025, 0.975]))
     return known["at"].tolist(), known["people"].to_numpy(), np.array(within).T
-
-
-@drawing(
-    "Agreement with people over time",
-    "Lines: each model's correlation with people and its log score by moment of the film, beside "
-    "what people reach among themselves.",
-    of_moments=True,
-)
-def by_moment(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' correlation with people and log score by moment, with 95 % intervals.
-
-    Grey lines are people's: the r of their halves, and their own log score, which is in-sample.
-
-    Raises:
-        NothingToDrawError: nobody judged at a moment of a film.
-    """
-    _, models = _models(source)
-    kinds = [
-        kind
-        for kind, prefix in PREFIX.items()
-        if any(one.metrics["moments"][f"{prefix}log_score"] for one in models)
-    ]
-    if not kinds:
-        raise NothingToDrawError(f"{_NOTHING} to which a model gives probabilities")
-    figure = new_figure(
-        7.2, 0.6 + 1.9 * len(kinds),
-        note="Moments of the film [s]. Bars: 95 % intervals over events. Grey: people, r of "
-        "halves, and their own log score (in-sample).",
-    )  # fmt: skip
-    grid = figure.subplots(len(kinds), 2, squeeze=False)
-    drawn, moments = set(), [of["at"] for of in models[0].metrics["moments"]["by_moment"]]
-    for kind, line in zip(kinds, grid, strict=True):
-        prefix = PREFIX[kind]
-        names = {f"{kind}_r": f"{prefix}split_half_r",
-                 f"{prefix}log_score": f"{prefix}log_score_people"}  # fmt: skip
-        for axes, (name, among) in zip(line, names.items(), strict=True):
-            for one in models:
-                rows = [
-                    {"at": of["at"], **of[name]}
-                    for of in one.metrics["moments"]["by_moment"]
-                    if of[name] is not None
-                ]
-                table = pd.DataFrame(rows, columns=["at", "value", "ci_low", "ci_high"])
-                if rows:
-                    within = table[["ci_low", "ci_high"]].to_numpy(float).T
-                    _line(axes, table["at"], table["value"], within, one.colour)
-                    drawn.add(one)
-            found = [(of["at"], of[among]["value"])
-                     for of in models[0].metrics["moments"]["by_moment"] if of[among]]  # fmt: skip
-            if found:
-                at, value = zip(*found, strict=True)
-                _line(axes, at, value, None, GREY, ls=(0, (4, 2)))
-            _timed(axes, moments)
-            if name.endswith("_r"):
-                axes.axhline(0, color=INK, lw=0.6)
-            what = "r with people" if name.endswith("_r") else "log score, nats"
-            axes.set_title(f"{KIND_WORDS[kind].capitalize()}: {what}", fontsize=NORMAL)
-    _named(figure, [one for one in models if one in drawn])
-    return figure
 
 
 def _line(

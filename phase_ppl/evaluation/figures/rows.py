@@ -16,7 +16,6 @@ from phase_ppl.evaluation.figures.frame import (
     NothingToDrawError,
     PathLike,
     Source,
-    compared,
     drawing,
     fitting,
     in_words,
@@ -39,12 +38,7 @@ _Rows = Mapping[AnswerSet, "_Row | None"]
 _DARK: Final = 0.65  # least share of a row at which its number is white
 
 
-@drawing(
-    "Accuracy by scenario, or by agent and pair",
-    "Bars: share of right goals and relations of everybody, over all events and by true "
-    "scenario, in other worlds than PHASE by agent and pair, with 95 % intervals; the numbers "
-    "are in the tables above.",
-)
+@drawing("Accuracy by scenario, or by agent and pair")
 def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
@@ -85,53 +79,6 @@ def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, st
     return of_parts | {(kind, "all"): int((known["kind"] == kind).sum()) for kind in KIND_TITLES}
 
 
-@drawing(
-    "Models beside people",
-    "Points with intervals: right answers of models minus those of people, beside the margin "
-    "of equivalence; the numbers are in the table.",
-    compares=True,
-)
-def equivalence(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' accuracy minus people's, with the margin of equivalence.
-
-    Raises:
-        NothingToDrawError: people judged no event with truth, or it is no comparison of models.
-    """
-    comparison = compared(source)
-    found = {
-        (r["model"], r["measure"], r["scenario"]): {**r, "n": r["n_events"]}
-        for r in comparison.equivalence
-    }
-    parts = [None, *(name for name in SCENARIOS if any(name == part for *_, part in found))]
-    blocks: dict[str, Any] = {}
-    for kind, title in KIND_TITLES.items():
-        name = f"{kind}_accuracy"
-        shown = [o for o in comparison.answers if (o.name, name, None) in found]
-        blocks[title] = {
-            part or "all": {o: found.get((o.name, name, part)) for o in shown} for part in parts
-        }
-    margin = comparison.settings["margin"]
-
-    def draw(axes: Axes, part: str, rows: _Rows) -> None:
-        axes.axvspan(-margin, margin, color="#dfe7dc", lw=0)
-        axes.axvline(0, color="#8a8a8a", lw=0.8)
-        for place, (answers, row) in enumerate(rows.items()):
-            if row is None:
-                continue
-            for low, high, width in (("ci_low", "ci_high", 0.9), ("low", "high", 2.4)):
-                if row[low] is not None:
-                    axes.hlines(place, row[low], row[high], answers.colour, lw=width)
-            face = answers.colour if "equivalent" in row["verdict"] else "white"
-            axes.plot(row["value"], place, "o", ms=5, mec=answers.colour, mew=1.2, mfc=face)
-        axes.set(xlim=(-1.05, 1.05), xticks=[-0.5, 0, 0.5])
-
-    return _panels(
-        blocks, (1.4, 0.21), draw, "people judged no event whose truth is known",
-        "Share right, model minus people, event by event. Thin: 95 %, thick: 90 % intervals. "
-        "Band: margin of equivalence. Filled: equivalence is shown, after Holm's correction.",
-    )  # fmt: skip
-
-
 _CORRELATIONS: Final = {
     "Goals": ("goal_r", "goal_split_half_r"),
     "Relations": ("relation_r", "split_half_r"),
@@ -140,10 +87,7 @@ _CORRELATIONS: Final = {
 """Title -> correlation with people, and people's correlation with each other."""
 
 
-@drawing(
-    "Correlation with people",
-    "Bars: correlation of each model with people; the numbers are in the table.",
-)
+@drawing("Correlation with people")
 def correlation(source: Source, path: PathLike | None = None) -> Figure:
     """Draw how well models, and people among themselves, correlate with people's answers.
 
@@ -249,10 +193,7 @@ def _bars(axes: Axes, part: str, rows: _Rows) -> None:
     axes.grid(axis="x")
 
 
-@drawing(
-    "Which scenario is taken for which",
-    "Matrices of counts: true scenario against the scenario of the goals answered.",
-)
+@drawing("Which scenario is taken for which")
 def confusion(source: Source, path: PathLike | None = None) -> Figure:
     """Draw confusion matrices: true scenario against the scenario of the goals answered.
 
