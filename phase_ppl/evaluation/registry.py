@@ -176,7 +176,7 @@ def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
 
 def not_installed(needs: Sequence[str], extra: str | None) -> str | None:
     """Return which of the modules are missing, and how to install them; None: they are there."""
-    missing = [module for module in needs if not is_installed(module)]
+    missing = [module for module in needs if not _is_installed(module)]
     how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
     return f"{', '.join(missing)}, which is not installed{how}" if missing else None
 
@@ -187,8 +187,7 @@ def check_world(model: object, world: World) -> None:
         check_is_phase(world, f"model {model!r}")
 
 
-def is_installed(module: str) -> bool:
-    """Whether a module can be imported; it is not."""
+def _is_installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing

@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 
 NAME: Final = "report.html"
 
-MAX_ROWS: Final = 6  # most goals that are shown of an agent
-_WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
+_WORTH_A_ROW: Final = 0.05  # probability from which on an answer is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1000  # pixels
 
@@ -198,21 +197,13 @@ def _answers(question: str, said: Mapping[AnswerSet, Prediction], event: Event) 
 
 
 def rows_of(question: str, made: Sequence[Prediction], event: Event) -> list[str]:
-    """Return the answers worth a row: those given, the true one, those probable to somebody.
-
-    Relations are always all shown. Goals are at most :data:`MAX_ROWS`, unless more were given,
-    sorted by the highest probability that anybody has for them.
-    """
+    """Return the answers worth a row: those given, the true one, those probable to somebody."""
     labels = questions_of(event.scene.world)[question]
-    if question in pairs_of(event.scene.world):
-        return list(labels)
     given = [one.probabilities[question] for one in made if question in one.probabilities]
-    highest = pd.Series(np.max([np.zeros(len(labels)), *given], axis=0), labels)
-    asked = [true_answers(event).get(question), *(one.answers.get(question) for one in made)]
-    order = highest[highest >= _WORTH_A_ROW].sort_values(ascending=False, kind="stable").index
-    chosen = list(dict.fromkeys([*filter(None, asked), *order]))
-    kept = chosen[: max(MAX_ROWS, len({*filter(None, asked)}))]
-    return sorted(kept, key=lambda goal: (-highest[goal], labels.index(goal)))
+    highest = np.max([np.zeros(len(labels)), *given], axis=0)
+    asked = {true_answers(event).get(question), *(one.answers.get(question) for one in made)}
+    pairs = zip(labels, highest, strict=True)
+    return [label for label, p in pairs if p >= _WORTH_A_ROW or label in asked]
 
 
 def _told(event: Event) -> str:

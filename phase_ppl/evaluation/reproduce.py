@@ -3,7 +3,6 @@
 The folder that it writes::
 
     DIR/
-      asked.json           what was asked for
       models/LABEL/        an evaluation per model, event by event
       comparison/          all answers together
       reproduction.json    every cell: the paper's value, ours, the verdict
@@ -23,7 +22,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from phase_ppl.data.documents import read_json
 from phase_ppl.data.generated import MANIFEST
 from phase_ppl.evaluation.bootstrap import Measure, proportion
 from phase_ppl.evaluation.cells import Table, lines_of, measure_text
@@ -49,7 +47,6 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, locked, writable_folder, write_json
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
-from phase_ppl.world.identity import differences
 from phase_ppl.world.scene import check_is_phase
 
 if TYPE_CHECKING:
@@ -225,11 +222,8 @@ def verdict(printed: Printed, ours: Measure) -> str:
 # --- models that are asked ------------------------------------------------------------------------
 
 PROFILES: Final = ("quick", "paper")
-ASKED, RESULT, PAGE = "asked.json", "reproduction.json", "reproduction.html"
+RESULT, PAGE = "reproduction.json", "reproduction.html"
 MODELS, COMPARED = "models", "comparison"
-
-ADDED: Final = ("judgments", "vlm_store", "tags", "likeness", "steered")
-"""What may be added when it is resumed: none of it changes an answer that is there."""
 
 _VIDEOS: Final = 100  # that the paper has
 
@@ -305,8 +299,7 @@ def reproduce(
         steered: file or folder of events that people steered, with people's judgments in them.
         seed: of the models.
         workers: processes, at most; by default one per usable core.
-        resume: go on with what is in ``out``, by the same arguments; judgments, answers, tags and
-            likeness may be added where there were none.
+        resume: go on with what is in ``out``; the models' settings and the videos must be the same.
         progress: whether to show bars; by default where stderr is a terminal.
         say: takes lines about what is done.
 
@@ -330,17 +323,11 @@ def reproduce(
         check_is_phase(event.scene.world, "reproduce")
     folder = writable_folder(out)
     with locked(folder):
-        files = {"videos": videos, "judgments": judgments, "vlm_store": vlm_store,
-                 "tags": tags, "likeness": likeness, "steered": steered}  # fmt: skip
-        given = {
-            **{name: file and str(Path(file).resolve()) for name, file in files.items()},
-            **{"profile": profile, "seed": seed},
-        }
-        _same_as_before(folder / ASKED, given, resume)
+        if not resume and (folder / MODELS).is_dir():
+            raise OutputError(f"{folder} holds a reproduction already; resume it, or name another")
         events = judged(all_events(videos), judgments)
         for event in events:
             check_is_phase(event.scene.world, "reproduce")
-        write_json(folder / ASKED, given)
         missing = {}
         for label, one in asked.items():
             info = model_info(one.model)
@@ -374,9 +361,9 @@ def reproduce(
             notes.append("quick: SIMPLE, as printed too, has 30 simulations a video and 100 a "
                          "decision; the paper has 105 and 1000")  # fmt: skip
         notes += comparison.notes
-        drawn = list(_drawings(events, labels, rated))
+        drawn = list(_drawings(labels, rated))
         result = Reproduction(cells, comparison, notes, drawn, folder)
-        record = {**given, "notes": notes, "cells": [one.to_dict() for one in cells]}
+        record = {"profile": profile, "notes": notes, "cells": [one.to_dict() for one in cells]}
         write_json(folder / RESULT, record)
         from phase_ppl.evaluation.report import write_page
 
@@ -406,18 +393,6 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
         title="The paper, cell by cell",
         progress=progress,
     )
-
-
-def _same_as_before(file: Path, given: Mapping[str, Any], resume: bool) -> None:
-    if not file.exists():
-        return
-    if not resume:
-        raise OutputError(f"{file.parent} holds a reproduction already; resume it, or name another")
-    before = read_json(file)
-    before |= {name: given[name] for name in ADDED if before.get(name) is None}
-    apart = differences(before, given)
-    if apart:
-        raise InvalidSettingError(f"{file.parent} was begun with others: {'; '.join(apart)}")
 
 
 # --- cells ----------------------------------------------------------------------------------------
@@ -555,39 +530,12 @@ def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
 
 
 def _drawings(
-    events: Sequence[Event], tags: Tags | None, likeness: Likeness | None
+    tags: Tags | None, likeness: Likeness | None
 ) -> Iterator[tuple[str, str, Callable[[], Drawn]]]:
     """Yield title, words and what draws it."""
-    from phase_ppl.analysis import figures as plots
-    from phase_ppl.data.statistics import statistics
-
-    yield (
-        "What an agent believes, before and after it sees something (Fig. belief update)",
-        "Arenas: true state and field of view, all particles, one of them, at two moments.",
-        lambda: plots.beliefs(_with_discovery(events)),
-    )
-    yield (
-        "The cost of a search (Fig. value example)",
-        "Arenas: the way of the green agent to an item that it does not see, for two values of "
-        "lambda.",
-        plots.search,
-    )
-    yield (
-        "Statistics of the events",
-        "Bars: relations, goals, strengths, sizes and shares of time beside those of PHASE.",
-        lambda: plots.data_card(statistics(events)),
-    )
     if tags is not None:
         words = "Bars: percentage of videos with each label."
         yield "What people see (Fig. video annotation)", words, lambda: tags_figure(tags)
     if likeness is not None:
         words = "Ratings of likeness of two groups of videos, and their difference."
         yield "Likeness to people (A.2)", words, lambda: likeness_figure(likeness)
-
-
-def _with_discovery(events: Sequence[Event]) -> Event:
-    """Return the first event in which the red agent sees an entity whose place it did not know."""
-    from phase_ppl.analysis.figures.beliefs import PAPERS_PARTICLES, beliefs_of, discovery
-
-    seen = (discovery(list(beliefs_of(event, 0, PAPERS_PARTICLES))) for event in events)
-    return next((e for e, frame in zip(events, seen, strict=True) if frame), events[0])

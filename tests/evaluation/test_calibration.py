@@ -22,7 +22,7 @@ from tests.inference.toy import all_of_few_goals, few_goals
 SCENE = ppl.Scene(start=START, radius=np.full(4, 0.8))
 SPREAD = 1.0
 N_FRAMES = 3
-N = 120  # videos
+N = 200  # videos
 QUIET: dict[str, Any] = {"frames": N_FRAMES, "scenes": SCENE, "workers": 1, "progress": False}
 
 

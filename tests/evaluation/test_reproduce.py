@@ -153,11 +153,10 @@ def test_real_videos_give_cells_figures_and_one_page(
     assert [one["verdict"] for one in kept["cells"]] == [one.verdict for one in made.cells]
     assert {one["verdict"] for one in kept["cells"]} <= set(VERDICTS)
     page = (out / module.PAGE).read_text()
-    for words in ("The paper, cell by cell", "Fig. belief update", "Fig. value example",
-                  "Fig. video annotation", "paper has 100 test videos, these are 12",
+    for words in ("The paper, cell by cell", "Fig. video annotation", "paper has 100 test videos, these are 12",
                   "Appendix A.2", "Accuracy by scenario"):  # fmt: skip
         assert words in page
-    assert page.count("data:image/png") > 8 + 12
+    assert page.count("data:image/png") >= 5 + 12
     for words in ("0.59 [0.41, 0.77]", "0.965"):  # to the digits that are printed
         assert words in str(made)
 
@@ -175,9 +174,8 @@ def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
         return evaluate(events, model, **given)
 
     monkeypatch.setattr(module, "evaluate", stops)
-    out, one, two = tmp_path / "out", tmp_path / "one.csv", tmp_path / "two.csv"
-    for file in (one, two):
-        file.write_text(TAGS)
+    out, one = tmp_path / "out", tmp_path / "one.csv"
+    one.write_text(TAGS)
     command = ["reproduce", "--videos", str(videos), "--out", str(out), "--workers", "1", "--quiet"]
     assert main(command) == 130
     done = out / "models" / "simple"
@@ -188,13 +186,10 @@ def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
     again = {"workers": 1, "progress": False, "say": lambda line: None}
     with pytest.raises(OutputError, match="resume it"):
         ppl.reproduce(out, videos, **again)
-    with pytest.raises(InvalidSettingError, match=r"begun with others: seed is 1, was 0"):
+    with pytest.raises(InvalidSettingError, match=r"with other settings: seed is 1, was 0"):
         ppl.reproduce(out, videos, seed=1, resume=True, **again)
     made = ppl.reproduce(out, videos, tags=one, resume=True, **again)
     assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
-    for tags, said in ((two, "'.*"), (None, "None")):  # neither changed nor left out
-        with pytest.raises(InvalidSettingError, match=rf"with others: tags is {said}, was '"):
-            ppl.reproduce(out, videos, tags=tags, resume=True, **again)
     after = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
     assert after == before, "nothing is predicted twice"
 
