@@ -153,8 +153,8 @@ def test_real_videos_give_cells_figures_and_one_page(
     assert [one["verdict"] for one in kept["cells"]] == [one.verdict for one in made.cells]
     assert {one["verdict"] for one in kept["cells"]} <= set(VERDICTS)
     page = (out / module.PAGE).read_text()
-    for words in ("The paper, cell by cell", "Fig. video annotation", "paper has 100 test videos, these are 12",
-                  "Appendix A.2", "Accuracy by scenario"):  # fmt: skip
+    for words in ("The paper, cell by cell", "Fig. video annotation", "Appendix A.2",
+                  "paper has 100 test videos, these are 12", "Accuracy by scenario"):  # fmt: skip
         assert words in page
     assert page.count("data:image/png") >= 5 + 12
     for words in ("0.59 [0.41, 0.77]", "0.965"):  # to the digits that are printed
