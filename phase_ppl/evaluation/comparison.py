@@ -350,16 +350,8 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str
 
 
 def _record(one: Entry) -> dict[str, Any]:
-    predictions = []
-    for prediction in one.predictions.values():
-        record = prediction.to_dict()
-        record["probabilities"] = {
-            question: {answer: p for answer, p in shares.items() if p > 0}
-            for question, shares in record["probabilities"].items()
-        }
-        predictions.append(record)
     fields = {field.name: getattr(one, field.name) for field in dataclasses.fields(one)}
-    return {**fields, "predictions": predictions}
+    return {**fields, "predictions": [given.to_dict() for given in one.predictions.values()]}
 
 
 def _entry(record: object, world: World) -> Entry:

@@ -240,12 +240,15 @@ class Prediction(Printed):
         return Estimate(float(self.probabilities[question][place]), error)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
+        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back.
+
+        Answers of probability 0 are left out.
+        """
         labels = self.questions
-        probabilities, errors = (
-            {q: dict(zip(labels[q], plain(values), strict=True)) for q, values in given.items()}
-            for given in (self.probabilities, self.errors)
-        )
+        probabilities = {q: _possible(labels[q], p) for q, p in self.probabilities.items()}
+        errors = {
+            q: dict(zip(labels[q], plain(values), strict=True)) for q, values in self.errors.items()
+        }
         moments = [
             {"at": at, **{q: _possible(labels[q], values) for q, values in given.items()}}
             for at, given in self.moments.items()

@@ -145,18 +145,6 @@ def test_people_themselves_agree_and_r_of_what_is_constant_is_none() -> None:
     assert flat["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
-def test_events_without_probabilities_or_judgments_do_not_count() -> None:
-    watched = events()
-    watched[0] = make_event("0", COLLABORATIVE)
-    made = {**model(), "1": Prediction("1", answers={"relation": "friendly"})}
-    metrics = evaluate_predictions(watched, made)
-    expected = pearsonr(np.ravel(MODEL[2:]), PEOPLE[2:].ravel()).statistic
-    assert metrics["human"]["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
-    assert metrics["n"]["relation_judgments"] == 5
-    bound = -np.mean([entropy(h) for h in PEOPLE[2:]])
-    assert metrics["human"]["log_score_people"]["value"] == pytest.approx(bound)
-
-
 def test_differences_of_agreement_are_paired() -> None:
     found = differences(events(), model(PEOPLE.tolist()), model())
     of_one, of_other = human(model(PEOPLE.tolist())), human()

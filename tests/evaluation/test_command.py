@@ -84,18 +84,6 @@ def test_it_prints_a_table_and_writes_predictions_metrics_and_figures(
     assert f"{OUT} holds no posterior.nc\n" in fails(capsys, "query", OUT, "P(goal_red)")
 
 
-def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_is_kept(
-    capsys: Capture,
-) -> None:
-    command = ["evaluate", str(EVENTS), "--model", "right", "--workers", "1"]
-    assert main(command) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    assert "Nothing was saved" in printed.out
-    assert main([*command, "--progress"]) == 0
-    assert "predicting" in capsys.readouterr().err
-
-
 def test_a_model_that_fails_at_every_event_is_one_error_and_others_go_on(capsys: Capture) -> None:
     error = refused(capsys, "--model", "broken", *QUICK)
     assert "'broken' failed at 3 of 3 events; event 'a': ValueError: not today" in error

@@ -35,7 +35,6 @@ from tests.evaluation.judged import (
     make_event,
     shares,
 )
-from tests.world.examples import DEV, needs_dev
 
 WRITTEN = {"name": "x", "kind": "model", "predictions": [], "settings": {}, "failures": {},
            "folder": None}  # fmt: skip
@@ -175,10 +174,6 @@ def test_the_log_probability_of_the_truth_tells_apart_who_is_as_often_right() ->
     gain = 8 * math.log(0.99 + 0.01 / 3) + 4 * math.log(0.01 / 3)
     loss = 8 * math.log(0.594 + 0.01 / 3) + 4 * math.log(0.396 + 0.01 / 3)
     assert found["value"] == pytest.approx((gain - loss) / 12)
-    lines = str(c).splitlines()
-    start = next(i for i, line in enumerate(lines) if "differences in the log prob" in line)
-    (shown,) = [line for line in lines[start:] if line.startswith("sure - unsure")]
-    assert f"{found['value']:+.2f} [{found['ci_low']:+.2f}" in shown
 
 
 def test_against_one_model_only_its_pairs_are_tested() -> None:
@@ -317,8 +312,8 @@ def test_models_in_the_events_are_compared_by_name() -> None:
 # --- kept, printed, drawn ----------------------------------------------------------------------
 
 NAMES = (
-    *("simple", "last_frame", "a_lesion_of_simple_without_physics", "predicate", "socialgnn"),
-    *("another_lesion_that_sees_everything", "vlm", "majority", "no_social_goals", "$y$"),
+    *("simple", "last_frame", "a_lesion_of_simple_without_physics", "predicate"),
+    *("another_lesion_that_sees_everything", "vlm", "$y$"),
 )
 
 
@@ -405,17 +400,3 @@ def test_figures_and_the_report_take_the_folder_of_a_comparison(
     for words in ("Comparison of models", "Paired differences", "Equivalence with people",
                   "right in all they answered", "event 2"):  # fmt: skip
         assert words in text
-
-
-@needs_dev
-def test_stored_models_of_the_real_videos_score_as_they_do_alone() -> None:
-    events = ppl.load_events(DEV)
-    found = ppl.evaluate(events, "last_frame", workers=1, progress=False)
-    c = compare(found, stored=["simple_authors"], resamples=100)
-    alone = ppl.reference_models(events)["simple_authors"]
-    assert {n: v for n, v in c.metrics["simple_authors"].items() if n in alone} == alone
-    assert c.metrics["last_frame"]["cpu_seconds"]["value"] > 0
-    difference = row(c.differences, measure="goal_accuracy", scenario=None)
-    assert difference["value"] == pytest.approx(
-        c.metrics["last_frame"]["goal_accuracy"]["value"] - alone["goal_accuracy"]["value"]
-    )

@@ -434,16 +434,3 @@ def test_responses_tell_what_each_participant_got_right() -> None:
     for place in (by_participant, found):
         right = values(place, "goal_accuracy", "relation_accuracy")
         assert right == pytest.approx([(3 / 4 + 1 / 2) / 2, 1 / 2])
-
-
-def test_five_people_who_are_right_need_not_always_be_and_nobody_has_no_accuracy() -> None:
-    right = {f"p{i}": {"relation": "friendly"} for i in range(5)}
-    found = participant_accuracy([make_event("a", judgments=responses(**right))])
-    low, high = clopper_pearson(5, 5)
-    assert found["relation_accuracy"] == {"value": 1, "ci_low": low, "ci_high": high}
-    for events in ([], [make_event("a")], [make_event("a", None, [1, 0, 0])]):
-        found = human_accuracy(events)
-        assert found["n_events"] == 0
-        assert found["goal_accuracy"] is None
-        assert found["by_scenario"]["opposing"]["n"] == 0
-    assert participant_accuracy([])["goal_accuracy"] is None

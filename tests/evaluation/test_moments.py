@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.registry import Answer, Predict
 from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 from tests.evaluation.toys import evaluate, still
@@ -101,35 +100,6 @@ def test_moments_of_predictions_that_are_none_are_refused(moments: Any) -> None:
     record = {"event": "a", "probabilities": {}, "answers": {}, "moments": moments}
     with pytest.raises(ppl.errors.PhasePPLError, match=r"moment|at="):
         ppl.Prediction.from_dict(record)
-
-
-class Undecided:
-    """Whoever looks through it finds all relations alike; posteriors are kept nevertheless."""
-
-    record: Mapping[str, Any] = {"observer": "undecided"}
-
-    def seeing(self, model: Predict, world: ppl.World) -> Predict:
-        def see(scene: Scene, observation: Observation, seed: int) -> Answer:
-            artefacts = Answer.of(model(scene, observation, seed)).artefacts
-            return Answer({"relation": [1 / 3] * 3}, artefacts)
-
-        return see
-
-
-def test_a_folder_is_gone_on_with_through_the_observer(tmp_path: Path) -> None:
-    event = ppl.load_event("collaborate")
-    event = ppl.Event(event.scene, event.observation.until(1.0), id="begins", truth=event.truth)
-    how: dict[str, Any] = {
-        "observer": Undecided(), "out": tmp_path / "out", "workers": 1, "progress": False,
-        "planner": ppl.PlannerConfig(simulations=10, particles=5, paired=True),
-    }  # fmt: skip
-    assert ppl.evaluate([event], "stepwise", **how).posterior("begins") is not None
-    rows = [["p", "begins", 0.5, "friendly"]]
-    study = pd.DataFrame(rows, columns=["participant", "video", "at", "relation"])
-    found = ppl.evaluate([event], "stepwise", judgments=ppl.load_judgments(study, [event]),
-                         resume=True, **how)  # fmt: skip
-    made = found.predictions["begins"].at(0.5)
-    assert made.probabilities["relation"] == pytest.approx([1 / 3] * 3)
 
 
 def test_a_posterior_is_read_at_the_frame_of_a_moment(tmp_path: Path) -> None:

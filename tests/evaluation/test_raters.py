@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli import main
 from phase_ppl.data.authors.videos import file_name, place_in_id
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.event import Truth
@@ -142,16 +141,3 @@ def test_what_is_no_raters_file_is_named(tmp_path: Path) -> None:
         ppl.load_judgments(folder, EVENTS)
     with pytest.raises(InvalidEventError, match="holds no judgments of these events"):
         ppl.load_judgments(write(folder, "a.txt", good), [make_event("other", COMPETING)])
-
-
-def test_the_command_says_whose_answers_count(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ppl.save_events(EVENTS, tmp_path / "events.json")
-    folder = write(tmp_path / "responses", "a.txt", lines_of(SAID))
-    write(folder, "b.txt", lines_of(SAID)[:3])
-    arguments = ["evaluate", tmp_path / "events.json", "--model", "last_frame"]
-    assert main([*map(str, arguments), "--judgments", str(folder)]) == 0
-    printed = capsys.readouterr().out
-    assert "1 of 2 raters' files kept, 1 incomplete\n" in printed
-    assert "people, majority" in printed

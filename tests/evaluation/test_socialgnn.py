@@ -16,7 +16,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.models.socialgnn import socialgnn
+from phase_ppl.evaluation.models.socialgnn import SocialGNNModel, socialgnn
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.models.socialgnn.graphs import VARIANTS
@@ -72,11 +72,15 @@ def test_the_papers_variants_are_trained_as_their_authors_did() -> None:
 
 
 @needs_torch
-def test_message_passing_averages_all_and_a_member_can_be_asked_alone() -> None:
+def test_message_passing_averages_all() -> None:
     event = ppl.load_event("collaborate")
     own = "message_passing"
-    each = [socialgnn(variant=own, member=n)(event.scene, event.observation, 0) for n in range(5)]
     found = socialgnn(variant=own)(event.scene, event.observation, 0)
+    trained = shipped(own)
+    each = [
+        SocialGNNModel(trained._replace(members=(one,)))(event.scene, event.observation, 0)
+        for one in trained.members
+    ]
     for question in ("goal_red", "goal_green", "relation"):
         mean = np.mean([one.probabilities[question] for one in each], axis=0)
         np.testing.assert_allclose(found.probabilities[question], mean)
@@ -101,7 +105,6 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 
 def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for options, message in (
-        ({"member": 5, "variant": "message_passing"}, "member=5, expected 0 to 4"),
         ({"threads": 0}, "threads=0"),
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
@@ -171,9 +174,9 @@ def test_the_command_trains_the_same_networks(
 @needs_torch
 def test_what_was_trained_is_asked_by_its_folder(trained: Path, tmp_path: Path) -> None:
     found = ppl.evaluate(
-        [walk(0, 1, 2)], "socialgnn", weights=trained, member=1, out=tmp_path, progress=False
+        [walk(0, 1, 2)], "socialgnn", weights=trained, out=tmp_path, progress=False
     )
-    assert found.settings["model_settings"]["networks"] == 1
+    assert found.settings["model_settings"]["networks"] == 2
     assert len(found.predictions["0-1-2-False"].probabilities) == 3
     model = socialgnn(weights=trained)
     event = walk(1, 2)
@@ -195,16 +198,3 @@ def test_what_is_no_set_to_learn_from_is_refused(data: Path, tmp_path: Path) -> 
     ):
         with pytest.raises(InvalidEventError, match=message):
             ppl.train_socialgnn(folder, tmp_path / "out")
-
-
-@needs_torch
-def test_wrong_options_of_the_command_are_refused(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["train", "socialgnn", "--data", str(data), "--out", str(tmp_path / "out")]
-    for option, message in (
-        ("epoch=3", "unknown option 'epoch'; did you mean 'epochs'"),
-        ("dropout=2", "dropout=2, expected a number from 0 to 0.9"),
-    ):
-        assert main([*command, "--option", option]) == 2
-        assert message in capsys.readouterr().err

@@ -87,7 +87,6 @@ def socialgnn(
     *,
     variant: str | None = None,
     weights: str | Path | None = None,
-    member: int | None = None,
     threads: int = 1,
 ) -> SocialGNNModel:
     """SocialGNN: a graph neural network that says goals and relation from the motion alone.
@@ -101,7 +100,6 @@ def socialgnn(
             relation only; "message_passing", this package's own; not with ``weights``, which are
             of one.
         weights: an npz file, or the folder that training wrote, instead of those of the package.
-        member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.
     """
     if weights is None:
@@ -110,13 +108,6 @@ def socialgnn(
         trained = store.load(weights)
     else:
         raise InvalidSettingError(f"give either weights or variant={variant!r}, not both")
-    if member is not None:
-        n = len(trained.members)
-        if whole_number("member", member, 0) >= n:
-            raise InvalidSettingError(
-                f"member={member}, expected {'0' if n == 1 else f'0 to {n - 1}'}: there are {n}"
-            )
-        trained = trained._replace(members=trained.members[member : member + 1])
     return SocialGNNModel(trained, whole_number("threads", threads))
 
 
