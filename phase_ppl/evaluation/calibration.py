@@ -248,7 +248,6 @@ def calibrate(
     reader: str | Model | Predict | None = None,
     frames: int = 31,
     scenes: str | World | Scene | Sequence[Scene] = PHASE,
-    noise: bool = True,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
     workers: int | None = None,
@@ -263,7 +262,8 @@ def calibrate(
     frame, by ``next_frames``, if the simulator has nothing else or the model's likelihood is a
     :class:`phase_ppl.StepwiseLikelihood`. If a video cannot be an event, as a body leaves the
     arena, or the simulator fails, hypothesis and video are drawn anew, which leaves the posterior
-    as it is.
+    as it is. Positions get the noise of the model's own likelihood, where it has a method
+    ``replicate`` as :class:`phase_ppl.RadialLikelihood` does; the default one adds none.
 
     To be calibrated, videos must be what the likelihood says. The joint simulator's are not quite:
     the closed loop takes its agents to be less determined than they are, and its likelihood and
@@ -276,9 +276,6 @@ def calibrate(
             Another one shows what a wrong assumption does.
         frames: length of each video.
         scenes: a world or its name, for random scenes; or scenes, taken in turn.
-        noise: whether positions get the noise of the model's own likelihood, where it has a method
-            ``replicate`` as :class:`phase_ppl.RadialLikelihood` does. The default likelihood is
-            tempered and adds none.
         out: folder to keep everything in, as :func:`phase_ppl.evaluate` does, and the table; by
             default nothing is kept.
         resume: continue in ``out``, if there is something, perhaps with a larger ``n``. Videos are
@@ -299,7 +296,7 @@ def calibrate(
     instance_of("model", model, Model, "a phase_ppl.Model")
     whole_number("n", n)
     drawing = _Drawing(
-        model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES), noise,
+        model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES),
         whole_number("seed", seed, 0),
     )  # fmt: skip
     events: dict[int, Event] = {}
@@ -348,7 +345,6 @@ class _Drawing:
     model: Model
     scenes: World | Sequence[Scene]
     frames: int
-    noise: bool
     seed: int
 
 
@@ -376,7 +372,7 @@ def _draw(drawing: _Drawing, number: int) -> Event:
     scene = scenes.random_scene(rng) if isinstance(scenes, World) else scenes[number % len(scenes)]
     model = drawing.model.in_world(scene)
     video = _video_of(model, scene, drawing.frames)
-    replicate = getattr(model.likelihood, "replicate", None) if drawing.noise else None
+    replicate = getattr(model.likelihood, "replicate", None)
     why = ""
     for _ in range(_TRIES):
         key = jax.random.key(int(rng.integers(2**31)))

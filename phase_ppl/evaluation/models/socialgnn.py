@@ -202,7 +202,8 @@ def _train(
     training, validation = (
         Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)
     )
-    arrays, records = [], []
+    arrays: list[Arrays] = []
+    records: list[dict[str, Any]] = []
     with Bar(len(seeds) * settings.epochs, 0, progress, "epoch", "training") as bar:
         for seed in seeds:
             clock = time.process_time()
