@@ -158,13 +158,13 @@ def _tables(
         )
     among = (PEOPLE, _among_people(models))
     for where, words in (
-        ("human", "(people: r of halves; bound of the log score)"),
-        ("moments", "at moments of the film"),
+        ("human", " (people: r of halves; bound of the log score)"),
+        ("moments", ", at moments of the film"),
     ):
         for kind, word in KIND_WORDS.items():
             prefix = PREFIX[kind]
             yield (
-                f"agreement with people on {word} {words}",
+                f"agreement with people on {word}{words}",
                 {
                     "r": f"{where}.{kind}_r",
                     **({} if prefix else {"r given truth": f"{where}.relation_r_given_truth"}),
