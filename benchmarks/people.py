@@ -80,7 +80,7 @@ def scores(events: list[Event], predictions: Mapping[str, Prediction]) -> dict[s
         "r_given_truth": doubt["relation_r_given_truth"],
         "log_score": metrics["human"]["log_score"],
         "relation_accuracy": metrics["relation_accuracy"],
-        **{name: doubt[name] for name in ("brier", "ece", "calibration", "agreement", "misfit")},
+        **{name: doubt[name] for name in ("brier", "ece", "calibration")},
     }
 
 

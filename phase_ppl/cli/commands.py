@@ -25,7 +25,6 @@ import importlib.metadata
 import inspect
 import json
 import re
-import shlex
 import string
 import sys
 import textwrap
@@ -355,8 +354,3 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
 def one_line(error: BaseException) -> str:
     """Return an error's message in one line."""
     return " ".join(str(error).split())
-
-
-def report_hint(out: Path) -> str:
-    """Return how to make an HTML page of the folder ``out``."""
-    return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"

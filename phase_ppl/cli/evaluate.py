@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import functools
+import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import users_parts
-from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line, report_hint
+from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line
 from phase_ppl.world.errors import AnswerError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
     from phase_ppl.evaluation.evaluation import Evaluation
 
-AGAINST: Final = "against.json"
-"""The file in the folder of results with the differences from another model."""
-
-PAGES: Final = "pages"  # the folder of the pages, one per event, of a comparison
-_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # names of pages (``entry_name``)
-
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that are options of the command."""
 
-_SHOWS: Final = ("out", "against", "workers", "progress", "no_figures", "run", "executor")
+_SHOWS: Final = ("out", "workers", "progress", "no_figures", "run", "executor")
 """Options that are allowed when a stored evaluation is shown again."""
 
 
@@ -36,15 +31,14 @@ def evaluate(options: Options) -> int:
     """Ask a model about many events, and score its answers.
 
     The longest events come first. Without EVENTS, the evaluation in --out is read and shown
-    again; --against then compares it. The last options are the model's; with several models,
-    they go to all that take them.
+    again. The last options are the model's; with several models, they go to all that take them.
 
     Args:
         [EVENTS]: an event file, a folder of event files, or a bundled event's name
         --model NAME...: stepwise, the closed loop (the default), simple or another. Given several
             times, all are evaluated and compared, each in a folder of its name in --out;
             LABEL=NAME gives another name
-        --out DIR: for predictions, metrics, figures and pages
+        --out DIR: for predictions, metrics and figures
         --resume: continue the evaluation in --out; events may have been added at the end
         --observer NAME: observer through which the model is seen: people, which comes with the
             package, or a file of fit-people
@@ -53,11 +47,9 @@ def evaluate(options: Options) -> int:
         $cluster
         $seed
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
-        --against NAME: results of another model, or a model whose predictions the events carry, for
-            paired differences; written to against.json. With several models: the one to compare the
-            others with; default: every pair
+        --against NAME: of several models the one to compare the others with; default: every pair
         $stored
-        --no-figures: draw no figures and pages
+        --no-figures: draw no figures
         $progress
         --preset NAME: $PRESET
         $planner
@@ -87,13 +79,10 @@ def evaluate(options: Options) -> int:
         print(f"people: {options.judgments}")
     if labelled:
         _check_several(options, events, models, of_models)
-    else:
-        from phase_ppl.evaluation.evaluation import opponent
-
-        if options.stored:
-            raise InvalidSettingError("--stored is for several models; --against compares with one")
-        if options.against is not None:  # its errors come before the model is asked
-            opponent(events[: options.limit], options.against)
+    elif options.stored or options.against is not None:
+        raise InvalidSettingError(
+            "--stored and --against are for several models; compare-models compares folders"
+        )
     if options.out is not None:
         writable_folder(options.out)
 
@@ -126,7 +115,7 @@ def evaluate(options: Options) -> int:
         if evaluation.folder is not None:
             code = _drawn(evaluation, evaluation.folder.path, options, named) or code
     if not labelled:
-        _end_of_one(evaluation, options)
+        _say_where(None if evaluation.folder is None else evaluation.folder.path)
         return code
     stored = _references(options)
     comparison = phase_ppl.compare_models(found, stored=stored, against=options.against)
@@ -178,28 +167,16 @@ def _show_again(options: Options) -> int:
         )
     found = phase_ppl.Evaluation.load(options.out)
     print(found)
-    _end_of_one(found, options)
+    _say_where(options.out)
     return FAILED if found.failures else 0
-
-
-def _end_of_one(found: Evaluation, options: Options) -> None:
-    """Print where an evaluation is stored, and how it differs from another."""
-    from phase_ppl.evaluation.evaluation import difference_table
-
-    _say_where(None if found.folder is None else found.folder.path)
-    if options.against is None:
-        return
-    difference = found.against(options.against)
-    print(f"\n{difference_table(difference)}")
-    if found.folder is not None:
-        write_json(found.folder.path / AGAINST, difference)
 
 
 def _say_where(folder: Path | None) -> None:
     if folder is None:
-        print("\nNothing was saved; --out DIR keeps tables, figures and pages.")
+        print("\nNothing was saved; --out DIR keeps tables and figures.")
     else:
-        print(f"\nKept in {folder}\n{report_hint(folder)}")
+        hint = f"For one page of it all: phase-ppl report {shlex.quote(str(folder))}"
+        print(f"\nKept in {folder}\n{hint}")
 
 
 def _references(options: Options) -> str | list[str]:
@@ -207,46 +184,24 @@ def _references(options: Options) -> str | list[str]:
     return "all" if "all" in options.stored else list(options.stored)
 
 
-def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
-    """Draw the figures of an evaluation or a comparison into ``out``, and the events' pages.
+def _drawn(
+    source: Evaluation | ModelComparison, out: Path, options: Options, named: str = ""
+) -> int:
+    """Draw the figures of an evaluation or a comparison into ``out``; return the exit code.
 
-    The results are there even if drawing fails. Failures are printed and set the exit code, which
-    is returned.
+    The results are there even if drawing fails, which is printed.
     """
     if options.no_figures:
         return 0
-    from phase_ppl.evaluation import figures, report
-    from phase_ppl.evaluation.evaluation import PAGE, Evaluation, entry_name
-    from phase_ppl.world.progress import counted
+    from phase_ppl.evaluation import figures
 
-    code = 0
-
-    def attempt(what: str, draw: Callable[[], object]) -> None:
-        nonlocal code
-        try:
-            draw()
-        except Exception as error:
-            problem = f"{named}{what} cannot be drawn: {one_line(error)}"
-            print(f"phase-ppl: error: {problem}", file=sys.stderr)
-            code = FAILED
-
-    def page(place: int, event: Event) -> None:
-        if isinstance(source, Evaluation) and source.folder is not None:
-            text, file = report.page_of(source, event.id), source.folder.folder_of(event.id) / PAGE
-        else:
-            text = report.event_page(event, source.answers)
-            file = writable_folder(out / PAGES) / f"{entry_name(place, event.id)}.html"
-        report.write_page(text, file)
-
-    quiet = options.progress is False
-    attempt("the figures", lambda: figures.draw_figures(source, out, progress=not quiet))
-    for old in (out / PAGES).glob(_PAGE):  # of an earlier comparison, maybe with other events
-        old.unlink(missing_ok=True)
-    answered = getattr(source, "predictions", None)
-    for place, event in counted([*enumerate(source.events)], options.progress, "page", "drawing"):
-        if answered is None or event.id in answered:
-            attempt(f"the page of {event.id}", functools.partial(page, place, event))
-    return code
+    try:
+        figures.draw_figures(source, out, progress=options.progress is not False)
+    except Exception as error:
+        problem = f"{named}the figures cannot be drawn: {one_line(error)}"
+        print(f"phase-ppl: error: {problem}", file=sys.stderr)
+        return FAILED
+    return 0
 
 
 def compare_models(options: Options) -> int:
@@ -263,8 +218,8 @@ def compare_models(options: Options) -> int:
         --margin X: largest difference of shares at which a model equals people; default 0.1
         --seed N: of the resamples; default 0
         --resamples N: of the events, default 10000
-        --out DIR: for tables, figures and pages
-        --no-figures: draw no figures and pages
+        --out DIR: for tables and figures
+        --no-figures: draw no figures
         $progress
 
     example: phase-ppl compare-models out/simple out/last_frame --out compared
@@ -307,13 +262,13 @@ def reproduce(options: Options) -> None:
     """Reproduce the paper's tables and figures, cell by cell.
 
     Runs the models of the paper, and compares every number and figure with the results, on one
-    page. Without --videos it uses generated events: a trial, no reproduction.
+    page.
 
     Args:
-        --videos FILE: phase-test JSON or the authors' release
+        --videos FILE: phase-test JSON or the authors' release; required
         --out DIR: required
-        --profile quick|paper|full: quick (the default): few simulations and searches; paper: as in
-            the paper; full: also all lesions, and results beyond the paper
+        --profile quick|paper: quick (the default): few simulations and searches; paper: as in the
+            paper
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --vlm-store DIR: stored answers of a vision-language model
         --tags FILE: people's labels, a .csv file

@@ -228,7 +228,6 @@ def train(options: Options) -> None:
         --seed N: first one; default 0
         --variant extended|original: default extended
         --option NAME=VALUE...: option of training, such as epochs=100; may be given several times
-        --resume: continue the training in DIR
         $progress
 
     example: phase-ppl train socialgnn --data events --out gnn

@@ -20,7 +20,6 @@ from phase_ppl.cli.commands import (
     POSTERIOR,
     Options,
     one_line,
-    report_hint,
 )
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
@@ -227,7 +226,7 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
         written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, to be overwritten
         (out / name).unlink(missing_ok=True)
-    print(f"\nWritten to {out}: {', '.join(written)}\n{report_hint(out)}")
+    print(f"\nWritten to {out}: {', '.join(written)}")
 
 
 # --- watching --------------------------------------------------------------------------------

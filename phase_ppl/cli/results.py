@@ -203,12 +203,11 @@ def diagnose(options: Options) -> None:
 
 
 def report(options: Options) -> None:
-    """Make one self-contained HTML page of a run, an evaluation or a comparison.
+    """Make one self-contained HTML page of an evaluation or a comparison.
 
     Args:
-        FOLDER: written by infer --out, evaluate --out or compare-models --out
+        FOLDER: written by evaluate --out or compare-models --out
         --out FILE: .html; default report.html in FOLDER
-        --videos: film every event of an evaluation as well
         $progress
 
     example: phase-ppl report out

@@ -29,9 +29,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import kstest
+from scipy.stats import binom, kstest
 
 from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.tree import are_weighted
@@ -66,6 +67,7 @@ from phase_ppl.world.space import space_of
 from phase_ppl.world.worlds import named
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from phase_ppl.models.model import Model
@@ -115,12 +117,11 @@ class Calibration(Printed):
 
         Columns: ``n`` videos; ``rank``, the mean place of the truth (even: 0.5), and ``p_even``, by
         Kolmogorov and Smirnov's test of even places. For goals and relations the share of ``right``
-        answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``;
-        ``ece``, the expected calibration error over the bins of :meth:`reliability`, and
-        ``ece_chance``, its mean if the model were calibrated; mean ``log_score`` and what was
-        ``expected``, nats; and ``p_score``, the probability of such a difference by chance. For
-        that, 10 000 sets of truths are drawn from the stated probabilities; to judge scores that
-        are too low, these are mixed with the lapse of log scores. Last ``verdict``, in words.
+        answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``; mean
+        ``log_score`` and what was ``expected``, nats; and ``p_score``, the probability of such a
+        difference by chance. For that, 10 000 sets of truths are drawn from the stated
+        probabilities; to judge scores that are too low, these are mixed with the lapse of log
+        scores. Last ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
@@ -153,48 +154,38 @@ class Calibration(Printed):
         ]
         return pd.DataFrame(rows, columns=["probability", "share", "low", "high", "n"])
 
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return a copy of ``table``."""
-        return self.table.copy()
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write ``table`` as a .csv file (OutputError: it cannot be written)."""
-        write_bytes(path, (".csv",), self.table.to_csv(index=False).encode())
-        return Path(path)
-
+    @in_style
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw ranks and reliability of every quantity; with ``path`` also write the figure."""
-        from phase_ppl.evaluation.figures.calibration import ranks_and_reliability
-
-        ranks = {
-            name: np.histogram(part["place"], max(3, _n_bars(len(part))), (0.0, 1.0))[0]
-            for name, part in self._parts.items()
-        }
-        reliability = {name: self.reliability(name) for name in self._parts}
-        n = len(self.evaluation.predictions)
-        title = f"{self._name}: {n} video{'s' * (n != 1)} drawn from the prior"
-        return ranks_and_reliability(title, ranks, reliability, self.notes, path)
+        """Draw ranks and reliability, a row per quantity; with ``path`` also write the figure."""
+        n, parts = len(self.evaluation.predictions), self._parts
+        note = (
+            "Left: how many videos have the truth at this place among draws of the posterior, and "
+            "the band that holds 99 % of the bars of a calibrated model. Right: shares of right "
+            "top answers, or of central intervals that hold the true strength, with 95 % "
+            "intervals; the line is a calibrated model. "
+        )
+        figure = new_figure(
+            *(6.4, 1.0 + 1.55 * len(parts) + 0.12 * sum(map(len, self.notes)) / 100),
+            f"{self._name}: {n} video{'s' * (n != 1)} drawn from the prior",
+            note + " ".join(self.notes),
+        )
+        grid = figure.subplots(len(parts), 2, squeeze=False, width_ratios=(1.7, 1))
+        for (left, right), (quantity, part) in zip(grid, parts.items(), strict=True):
+            _draw_ranks(left, part["place"])
+            words = quantity.replace("_", " of ")
+            left.set_title(words if quantity.startswith("strength") else f"probability of {words}")
+            _draw_reliability(right, self.reliability(quantity))
+        grid[-1, 0].set_xlabel("place of the truth")
+        grid[-1, 1].set_xlabel("probability said")
+        return written(figure, path)
 
     def __str__(self) -> str:
         n, failed = len(self.evaluation.predictions), len(self.evaluation.failures)
         head = f"{self._name}: {n} videos drawn from prior and simulator"
         head += f", and {failed} without an answer" if failed else ""
         lines = wrapped("calibration", head)
-        form = "{:<16}{:>8}{:>18}{:>7}{:>17}{:>17}{:>18}"
-        names = ("right", "95 %", "sure", "ece (by chance)", "score (expected)", "rank (p even)")
-        lines += ["", form.format("", *names)]
-        for name, row in self.summary.iterrows():
-            cells = [""] * 5
-            if np.isfinite(row["sure"]):
-                cells = [
-                    f"{row['right']:.2f}",
-                    f"[{row['low']:.2f}, {row['high']:.2f}]",
-                    f"{row['sure']:.2f}",
-                    f"{row['ece']:.2f} ({row['ece_chance']:.2f})",
-                    f"{row['log_score']:.2f} ({row['expected']:.2f})",
-                ]
-            place = f"{row['rank']:.2f} ({row['p_even']:.3f})"
-            lines.append(form.format(str(name), *cells, place).rstrip())
+        shown = self.summary.drop(columns=["n", "p_score", "verdict"]).rename_axis(None)
+        lines += ["", *shown.to_string(float_format="{:.3f}".format, na_rep="").splitlines()]
         verdicts = self.summary["verdict"].items()
         said = [
             line
@@ -229,7 +220,7 @@ class Calibration(Printed):
         }
         uneven = f"ranks are not even (p = {found['p_even']:.2g})"
         verdict = uneven if found["p_even"] < DOUBTFUL else ""
-        of_answers = ("right", "low", "high", "sure", "ece", "ece_chance", "log_score", "expected")
+        of_answers = ("right", "low", "high", "sure", "log_score", "expected")
         found |= dict.fromkeys((*of_answers, "p_score"), np.nan)
         if part["top"].notna().all():
             right, top = part["right"].to_numpy(), part["top"].to_numpy()
@@ -239,7 +230,7 @@ class Calibration(Printed):
                 self.evaluation.predictions[event].probabilities[name] for event in part["event"]
             ]
             p_score = _p_score(np.array(said), float(gain.sum()))
-            values = right.mean(), low, high, top.mean(), *_ece(top, right)
+            values = right.mean(), low, high, top.mean()
             scores = part["log_score"].mean(), part["expected"].mean(), p_score
             found |= dict(zip((*of_answers, "p_score"), (*values, *scores), strict=True))
             if p_score < DOUBTFUL:
@@ -257,7 +248,6 @@ def calibrate(
     reader: str | Model | Predict | None = None,
     frames: int = 31,
     scenes: str | World | Scene | Sequence[Scene] = PHASE,
-    noise: bool = True,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
     workers: int | None = None,
@@ -272,7 +262,8 @@ def calibrate(
     frame, by ``next_frames``, if the simulator has nothing else or the model's likelihood is a
     :class:`phase_ppl.StepwiseLikelihood`. If a video cannot be an event, as a body leaves the
     arena, or the simulator fails, hypothesis and video are drawn anew, which leaves the posterior
-    as it is.
+    as it is. Positions get the noise of the model's own likelihood, where it has a method
+    ``replicate`` as :class:`phase_ppl.RadialLikelihood` does; the default one adds none.
 
     To be calibrated, videos must be what the likelihood says. The joint simulator's are not quite:
     the closed loop takes its agents to be less determined than they are, and its likelihood and
@@ -285,9 +276,6 @@ def calibrate(
             Another one shows what a wrong assumption does.
         frames: length of each video.
         scenes: a world or its name, for random scenes; or scenes, taken in turn.
-        noise: whether positions get the noise of the model's own likelihood, where it has a method
-            ``replicate`` as :class:`phase_ppl.RadialLikelihood` does. The default likelihood is
-            tempered and adds none.
         out: folder to keep everything in, as :func:`phase_ppl.evaluate` does, and the table; by
             default nothing is kept.
         resume: continue in ``out``, if there is something, perhaps with a larger ``n``. Videos are
@@ -308,7 +296,7 @@ def calibrate(
     instance_of("model", model, Model, "a phase_ppl.Model")
     whole_number("n", n)
     drawing = _Drawing(
-        model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES), noise,
+        model, _scenes(scenes), whole_number("frames", frames, MIN_FRAMES),
         whole_number("seed", seed, 0),
     )  # fmt: skip
     events: dict[int, Event] = {}
@@ -343,7 +331,7 @@ def calibrate(
         pd.DataFrame(rows, columns=_COLUMNS), evaluation, tuple(dict.fromkeys(notes))
     )
     if out is not None:
-        found.save(Path(out) / TABLE)
+        write_bytes(Path(out) / TABLE, (".csv",), found.table.to_csv(index=False).encode())
     return found
 
 
@@ -357,7 +345,6 @@ class _Drawing:
     model: Model
     scenes: World | Sequence[Scene]
     frames: int
-    noise: bool
     seed: int
 
 
@@ -385,7 +372,7 @@ def _draw(drawing: _Drawing, number: int) -> Event:
     scene = scenes.random_scene(rng) if isinstance(scenes, World) else scenes[number % len(scenes)]
     model = drawing.model.in_world(scene)
     video = _video_of(model, scene, drawing.frames)
-    replicate = getattr(model.likelihood, "replicate", None) if drawing.noise else None
+    replicate = getattr(model.likelihood, "replicate", None)
     why = ""
     for _ in range(_TRIES):
         key = jax.random.key(int(rng.integers(2**31)))
@@ -559,17 +546,6 @@ def _n_bars(n: int) -> int:
     return max(1, min(_BARS, n // _IN_BAR))
 
 
-def _ece(top: FloatArray, right: FloatArray) -> tuple[float, float]:
-    """Return the expected calibration error, and its mean were answers as often right as said."""
-    order = np.argsort(top, kind="stable")
-    starts = np.array([some[0] for some in np.array_split(np.arange(len(top)), _n_bars(len(top)))])
-    rng = np.random.default_rng(0)
-    by_chance = rng.random((1000, len(top))) < top[order]
-    off = np.vstack([right[order], by_chance]) - top[order]
-    found = np.abs(np.add.reduceat(off, starts, axis=1)).sum(axis=1) / len(top)
-    return float(found[0]), float(found[1:].mean())
-
-
 def _p_score(p: FloatArray, gain: float) -> float:
     """Return how probable so large a sum of log scores beyond expectation is, were p right.
 
@@ -585,3 +561,28 @@ def _p_score(p: FloatArray, gain: float) -> float:
             drawn[place] += of[true] - one @ of
     tails = (drawn[0] >= gain - _ROUNDING).sum(), (drawn[1] <= gain + _ROUNDING).sum()
     return min(1.0, 2 * (int(min(tails)) + 1) / (_DRAWN + 1))
+
+
+# --- drawn ----------------------------------------------------------------------------------------
+
+_BAND: Final = (0.005, 0.995)  # between these quantiles lie 99 % of the bars
+
+
+def _draw_ranks(axes: Axes, places: pd.Series[float]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    n, bars = len(places), max(3, _n_bars(len(places)))
+    counts, _ = np.histogram(places, bars, (0.0, 1.0))
+    axes.axhspan(*binom.ppf(_BAND, n, 1 / bars), color="0.9", lw=0)
+    axes.axhline(n / bars, color="0.6", lw=0.8)
+    axes.bar((np.arange(bars) + 0.5) / bars, counts, 0.9 / bars, color=COLOURS[0])
+    axes.set(xlim=(0, 1), ylabel="videos")
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+
+
+def _draw_reliability(axes: Axes, found: pd.DataFrame) -> None:
+    axes.plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    axes.vlines(found["probability"], found["low"], found["high"], COLOURS[0], lw=1.2)
+    axes.plot(found["probability"], found["share"], "o", ms=4, color=COLOURS[0], clip_on=False)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+    axes.set_ylabel("share")

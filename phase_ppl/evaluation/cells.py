@@ -111,7 +111,7 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 def metric_tables(
     models: Sequence[Row], people: Mapping[str, Any] | None = None
 ) -> Iterator[Table]:
-    """Yield all tables of models' metrics, or of their differences.
+    """Yield all tables of models' metrics.
 
     Below them come people, where there are any
     (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
@@ -157,30 +157,23 @@ def _tables(
             models,
         )
     among = (PEOPLE, _among_people(models))
-    for kind, word in KIND_WORDS.items():
-        prefix = PREFIX[kind]
-        yield (
-            f"agreement with people on {word} (people: r of halves; bound of the log score)",
-            {
-                "r": f"human.{kind}_r",
-                **({"r given truth": "human.relation_r_given_truth"} if not prefix else {}),
-                "log score": f"human.{prefix}log_score",
-                "JS divergence": f"human.{prefix}js",
-            },
-            [*models, among],
-        )
-    for kind, word in KIND_WORDS.items():
-        prefix = PREFIX[kind]
-        yield (
-            f"agreement with people on {word}, at moments of the film",
-            {
-                "r": f"moments.{kind}_r",
-                "log score": f"moments.{prefix}log_score",
-                "JS divergence": f"moments.{prefix}js",
-                "ECE": f"moments.{prefix}ece",
-            },
-            [*models, among],
-        )
+    for where, words in (
+        ("human", " (people: r of halves; bound of the log score)"),
+        ("moments", ", at moments of the film"),
+    ):
+        for kind, word in KIND_WORDS.items():
+            prefix = PREFIX[kind]
+            yield (
+                f"agreement with people on {word}{words}",
+                {
+                    "r": f"{where}.{kind}_r",
+                    **({} if prefix else {"r given truth": f"{where}.relation_r_given_truth"}),
+                    "log score": f"{where}.{prefix}log_score",
+                    "JS divergence": f"{where}.{prefix}js",
+                    "ECE": f"{where}.{prefix}ece",
+                },
+                [*models, among],
+            )
     for kind, word in KIND_WORDS.items():
         title, places = _by_part([metrics for _, metrics in models], kind)
         columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
@@ -190,12 +183,6 @@ def _tables(
         {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()},
         models,
     )
-    for kind, word in KIND_WORDS.items():
-        sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
-        of_sure: dict[str, Place] = {
-            f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
-        }
-        yield f"{word} right, by the least probability of the answer", of_sure, models
     yield (
         "doubt about relations (people: r of one with the rest)",
         {
@@ -249,14 +236,11 @@ def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
     """Return a table's text for a place in the metrics."""
     found = at(metrics, place)
     if place == "cpu_seconds" and found is not None:
-        value = found["value"]
-        return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+        return f"{found['value']:.3g}"
     if isinstance(found, float):
         return f"{found:.2f}"
     if isinstance(found, int):
         return str(found)
     if found is not None and "accuracy" in found:
         return f"{measure_text(found['accuracy'])} of {found['n']}"
-    if found is not None and "p" in found:
-        return f"{measure_text(found, signed=True)} p {p_text(found['p'])}"
     return measure_text(found)

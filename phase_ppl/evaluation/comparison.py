@@ -350,16 +350,8 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str
 
 
 def _record(one: Entry) -> dict[str, Any]:
-    predictions = []
-    for prediction in one.predictions.values():
-        record = prediction.to_dict()
-        record["probabilities"] = {
-            question: {answer: p for answer, p in shares.items() if p > 0}
-            for question, shares in record["probabilities"].items()
-        }
-        predictions.append(record)
     fields = {field.name: getattr(one, field.name) for field in dataclasses.fields(one)}
-    return {**fields, "predictions": predictions}
+    return {**fields, "predictions": [given.to_dict() for given in one.predictions.values()]}
 
 
 def _entry(record: object, world: World) -> Entry:
@@ -535,26 +527,25 @@ def _text(c: ModelComparison) -> str:
     lines = wrapped(f"{head}; {INTERVALS}")
     for note in c.notes:
         lines += wrapped(f"note: {note}")
-    tables = [*metric_tables(list(c.metrics.items()), c.people), *difference_tables(c, PAIRS)]
+    tables = [*metric_tables(list(c.metrics.items()), c.people), *difference_tables(c)]
     for table in [*tables, *equivalence_tables(c)]:
         lines += table.lines()
     return "\n".join(lines)
 
 
-def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table]:
+def difference_tables(c: ModelComparison) -> list[Table]:
     """Return the tables of paired differences: in right answers, in log probabilities.
 
-    With more than ``most`` pairs only those with the first model are shown; the note below says how
-    many are left out.
+    With more than :data:`PAIRS` pairs only those with the first model are shown.
     """
     found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
-    tables, left_out = [], 0
+    tables, note = [], "p: bootstrap, corrected by Holm over the pairs"
     for title, measure in _DIFFERENCES.items():
         measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
         pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
-        if most is not None and len(pairs) > most and c.settings["against"] is None:
-            shown = [pair for pair in pairs if c.models[0] in pair]
-            pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
+        if len(pairs) > PAIRS and c.settings["against"] is None:
+            pairs = [pair for pair in pairs if c.models[0] in pair]
+            note = "p: bootstrap, corrected by Holm over all pairs; more pairs are in .differences"
         if pairs:
             columns = {}
             for name, word in zip(measures, KIND_WORDS.values(), strict=True):
@@ -565,15 +556,7 @@ def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table
             cells = pd.DataFrame(columns, index)
             cells.columns = [part or word for word, part in columns]
             tables.append(Table(f"paired differences in {title}", cells))
-    if tables:
-        note = "p: bootstrap, corrected by Holm over the pairs"
-        if left_out:
-            note += (
-                f"; {left_out} more pairs, all corrected together, are in comparison.json; "
-                "--against NAME compares with one model alone"
-            )
-        tables[-1] = tables[-1]._replace(note=note)
-    return tables
+    return [*tables[:-1], *(table._replace(note=note) for table in tables[-1:])]
 
 
 def equivalence_tables(c: ModelComparison) -> list[Table]:

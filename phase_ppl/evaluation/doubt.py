@@ -24,12 +24,28 @@ for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.eval
                             Brown's formula (``spearman_brown``, ``..._given_truth``); and one
                             rater's answer predicted by the others' shares: ``one_out_r``,
                             ``one_out_r_given_truth``, ``one_out_log_score``
-``agreement``               probability that two raters of an event agree: ``people``;
-                            ``expected`` of independent raters with the model's probabilities;
-                            ``low`` and ``high``, 95 % of such sets; and ``p``, two-sided
-``misfit``                  events by their ``log_score_gap``, largest first, with ``people`` and
-                            ``model``
 ==========================  ======================================================================
+
+``moments`` is about people who judged at moments of a film. The model's probabilities are those
+given the film until that moment. Events are resampled with all of their moments. It is None where
+nobody judged at a moment, else it has, with names without "goal" about the relation:
+
+===========================  =====================================================================
+``goal_r``, ``relation_r``   Pearson's r of model and people over all events, moments and answers
+``log_score``, ``js``        as under ``human``, means over events and moments; and
+                             ``goal_log_score``, ``goal_js``
+``log_score_people``         people's own log score, in-sample; ``goal_log_score_people``
+``split_half_r``             the ceiling: r of halves of the people, mean over 1000 random splits;
+                             each person is in one half at all moments; ``goal_split_half_r``
+``ece``, ``goal_ece``        expected calibration error: mean distance of the model's probabilities
+                             from the share of people, over ten bins of probability
+``calibration``              "goal" and "relation" -> for each non-empty bin ``probability``,
+                             ``share``, ``n``
+``hindsight``                whether the model's probabilities are in hindsight: each frame is
+                             weighed among hypotheses that were proposed for the whole film
+``by_moment``                for each moment ``at`` [s], ``n_events``, ``n`` answers and all of the
+                             above but ``hindsight``
+===========================  =====================================================================
 """
 
 from __future__ import annotations
@@ -42,6 +58,7 @@ import pandas as pd
 
 from phase_ppl.evaluation.bootstrap import (
     Measure,
+    by_event,
     correlation,
     divided,
     measure,
@@ -88,9 +105,6 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
         moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
         return measure(np.concatenate([value, np.clip(moved, -1, 1)]), n)
 
-    misfit = pd.DataFrame({"event": names, "log_score_gap": gap})
-    misfit["people"], misfit["model"] = people.tolist(), p.tolist()
-    misfit = misfit.sort_values("log_score_gap", ascending=False, kind="stable")
     return {
         "relation_r": r(None),
         "relation_r_given_truth": r(same_truth(truth)),
@@ -99,8 +113,6 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
         "ece": ece(bins),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples, rows),
-        "agreement": agreement(p, counts, rng, resamples, rows),
-        "misfit": misfit.to_dict("records"),
     }
 
 
@@ -241,46 +253,6 @@ def _mean(values: FloatArray) -> float:
     return float(known.mean()) if known.size else np.nan
 
 
-def agreement(
-    p: FloatArray, counts: FloatArray, rng: np.random.Generator, n: int, rows: Rows | None = None
-) -> dict[str, float | None] | None:
-    """Return whether raters agree as often as the model predicts (``agreement`` of the module).
-
-    Graded answers agree by the product of their shares; what raters of the model would answer is
-    unknown then.
-    """
-    several = np.round(counts.sum(axis=1)) > 1
-    if not several.any():
-        return None
-
-    def agreeing(given: FloatArray | IntArray, alone: FloatArray) -> FloatArray:
-        """``alone`` is the sum over raters of a rater's agreement with an equal one."""
-        total = np.round(given.sum(axis=-1))
-        pairs = ((given**2).sum(axis=-1) - alone) / (total * (total - 1))
-        return np.asarray(pairs.mean(axis=-1))
-
-    given, expected = counts[several], float((p[several] ** 2).sum(axis=1).mean())
-    if rows is not None and any((table % 1).any() for _, table in rows.given.values()):
-        tables = [rows.given[event, 0][1] for event in np.flatnonzero(several).tolist()]
-        people = float(agreeing(given, np.array([(one**2).sum() for one in tables])))
-        return {"people": people, "expected": expected, "low": None, "high": None, "p": None}
-    people = float(agreeing(given, given.sum(axis=-1)))
-    size = (n, int(several.sum()))
-    # rounded sums may exceed 1, which NumPy refuses
-    chances = p[several] / p[several].sum(axis=1, keepdims=True)
-    votes = given.sum(axis=1)
-    drawn = agreeing(rng.multinomial(votes.astype(np.int64), chances, size=size), votes)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    tail = min((drawn <= people).sum(), (drawn >= people).sum()) + 1
-    return {
-        "people": people,
-        "expected": expected,
-        "low": float(low),
-        "high": float(high),
-        "p": min(1.0, float(2 * tail / (n + 1))),
-    }
-
-
 # --- agreement of probabilities with people's answers, and of people with each other --------------
 
 # Arrays are (event, question, answer), NaN where nothing is known. People's arrays are the shares
@@ -407,3 +379,57 @@ def _sums(one: IntArray, other: IntArray) -> FloatArray:
     n = np.full(len(x), float(x.shape[1]))
     parts = [part.sum(axis=1) for part in (x, y, x**2, y**2, x * y)]
     return np.stack([n, *parts])
+
+
+# --- at moments of a film ------------------------------------------------------------------------
+
+PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
+"""Kind -> prefix of the names of measures of agreement with people."""
+
+
+def moments(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
+    """Return ``moments`` of the metrics, see the module."""
+    if not answers.moments:
+        return None
+    return {
+        **_agreement(answers, answers.moments, seed, resamples),
+        "by_moment": [
+            {
+                "at": at,
+                "n_events": len(of.events),
+                "n": round(float(rows["votes"].sum())),
+                **_agreement(of, [at], seed, resamples),
+            }
+            for at in answers.moments
+            for rows in [answers.rows[answers.rows["at"] == at]]
+            for of in [answers.about(set(rows["event"]))]
+        ],
+    }
+
+
+def _agreement(answers: Answers, at: Sequence[float], seed: int, resamples: int) -> dict[str, Any]:
+    weights = resampled(len(answers.events), seed, resamples)
+    found: dict[str, Any] = {}
+    bins = {}
+    for kind, prefix in PREFIX.items():
+        p, people = (answers.array(kind, name, at=at) for name in ("probability", "people"))
+        both = np.where(np.isnan(p), np.nan, people)
+        scores = {
+            f"{prefix}log_score": log_score(p, people),
+            f"{prefix}js": jensen_shannon(p, people),
+            f"{prefix}log_score_people": negative_entropy(both),
+        }
+        r = correlation(weights, by_event(p), by_event(people))
+        found[f"{kind}_r"] = measure(r, _n_events(p * people))
+        for name, values in scores.items():
+            found[name] = measure(weighted_mean(weights, values), _n_events(values))
+        halves = split_half_of(answers, kind, weights, seed, at)
+        found[f"{prefix}split_half_r"] = measure(*halves)
+        known = ~np.isnan(p * people)
+        bins[kind] = calibration(p[known], people[known])
+        found[f"{prefix}ece"] = ece(bins[kind])
+    return {**found, "calibration": bins}
+
+
+def _n_events(values: FloatArray) -> int:
+    return int((~np.isnan(by_event(values))).any(axis=1).sum())

@@ -18,8 +18,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
-from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
-from phase_ppl.evaluation.judgments import Study, all_events, judged
+from phase_ppl.evaluation.evaluation import (
+    METRICS,
+    POSTERIOR,
+    Evaluation,
+    ResultsFolder,
+    all_events,
+)
+from phase_ppl.evaluation.judgments import Study, judged
 from phase_ppl.evaluation.prediction import Prediction, until_moments
 from phase_ppl.evaluation.ratings import moments_of
 from phase_ppl.evaluation.registry import (
@@ -151,7 +157,6 @@ def evaluate(
 
     The last three carry the finished events as ``evaluation``.
     """
-    clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = slots_of(workers, executor)
     given = all_events(events, split)
@@ -177,19 +182,11 @@ def evaluate(
 
         def evaluation() -> Evaluation:
             kept = {event.id: done[event.id] for event in chosen if event.id in done}
-            cost = cost_of(kept, slots, time.monotonic() - clock)
-            return Evaluation(chosen, kept, failures, settings, cost, folder, tuple(notes))
+            return Evaluation(chosen, kept, failures, settings, folder, tuple(notes))
 
         for event in chosen:
             if event.id in done and not set(moments_of(event)) <= set(done[event.id].moments):
-                # an observer's answers are not those of the posterior, which is kept beside them
-                again = None
-                if folder is not None and observer is None:
-                    again = folder.with_moments(event)
-                if again is None:
-                    del done[event.id]
-                else:
-                    done[event.id] = again
+                del done[event.id]
         left = sorted(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,

@@ -8,7 +8,6 @@
       events/0007-ID/        one folder per finished event, made whole or not at all
         prediction.json      what the model answered
         posterior.nc         where the model has one
-        page.html            the page of the event
       failures.json          event id -> what went wrong, of the events without a prediction
       metrics.json           written last
       figures/*.png
@@ -21,30 +20,29 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import math
 import os
 import re
 import secrets
 import shutil
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.data.documents import check_schema, read_json
+from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
-    paired_difference,
     reference_models,
 )
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions, until_moments
-from phase_ppl.evaluation.ratings import REHEARSAL, moments_of, rehearsed
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import (
     PEOPLE,
     Answers,
@@ -58,12 +56,12 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
     check_name,
-    number_or_nan,
+    instance_of,
     shown,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import refusing, writable_folder, write_json
-from phase_ppl.world.identity import differences, event_digest
+from phase_ppl.world.identity import differences
 from phase_ppl.world.picture import Printed, plain
 
 if TYPE_CHECKING:
@@ -74,7 +72,6 @@ SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"
 POSTERIOR: Final = "posterior.nc"
-PAGE: Final = "page.html"
 METRICS: Final = "metrics.json"
 FAILURES: Final = "failures.json"
 
@@ -110,9 +107,6 @@ class Evaluation(Printed):
         failures: event id -> what went wrong, of the others.
         settings: all that determines the predictions: ``model``, ``options``, ``seed``, the
             ``events`` by id with a checksum of what is seen of them, ``versions``.
-        cost: ``seconds`` (summed over events), ``simulations`` (None where the model counts
-            none), ``workers`` and ``wall_seconds`` of the last call, and ``events``, the same
-            for each.
         folder: folder that keeps it; None: none.
         notes: remarks, such as about damaged predictions.
     """
@@ -121,9 +115,23 @@ class Evaluation(Printed):
     predictions: Mapping[str, Prediction]
     failures: Mapping[str, str]
     settings: Mapping[str, Any]
-    cost: Mapping[str, Any]
     folder: ResultsFolder | None = None
     notes: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def cost(self) -> dict[str, Any]:
+        """What the predictions cost.
+
+        ``seconds`` and ``simulations``, summed over events (None where the model counts none), and
+        ``events``, the cost of each.
+        """
+        each = {name: dict(prediction.cost) for name, prediction in self.predictions.items()}
+        counts, seconds = (
+            [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
+            for name in ("simulations", "seconds")
+        )
+        total = sum(counts) if counts else None
+        return {"seconds": sum(seconds), "simulations": total, "events": each}
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -212,31 +220,8 @@ class Evaluation(Printed):
         for name in ("model", "seed"):
             if name not in folder.settings:
                 raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
-        predictions = folder.predictions()
-        cost = cost_of(predictions, *folder.last_call())
-        return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
-
-    def against(self, other: Evaluation | str | os.PathLike[str]) -> dict[str, Any]:
-        """Return paired differences between this model and another, on events that both predict.
-
-        Args:
-            other: an evaluation, the folder of one, or the name of a model whose predictions
-                the events carry.
-
-        Returns:
-            ``one`` and ``other``, names of the models, and the result of
-            :func:`~phase_ppl.evaluation.metrics.paired_difference`, in JSON's types.
-
-        Raises:
-            InvalidEventError: there is no such folder; or an event differs between the two.
-            InvalidSettingError: ``other`` is none of these; or there is no event that both
-                predict.
-        """
-        name, predictions = opponent(self.events, other)
-        if not set(predictions) & set(self.predictions):
-            raise InvalidSettingError(f"there is no event that {self.name} and {name} both predict")
-        found = paired_difference(self.events, self.predictions, predictions)
-        return {"one": self.name, "other": name, **plain(found)}
+        predictions, failures = folder.predictions(), folder.failures()
+        return cls(folder.events, predictions, failures, folder.settings, folder)
 
     @property
     def name(self) -> str:
@@ -287,74 +272,65 @@ def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluatio
     return Evaluation.load(source)
 
 
-def opponent(
-    events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
-) -> tuple[str, Mapping[str, Prediction]]:
-    """Return name and predictions of the other model of a comparison."""
-    references = reference_predictions(events)
-    if isinstance(other, str) and other in references:
-        return other, references[other]
-    found = evaluation_of(other, references)
-    mine = {event.id: event for event in events}
-    for event in found.events:
-        if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
-            raise InvalidEventError(
-                f"event {event.id!r} is not the same in both evaluations: its scene or "
-                "observation differ"
-            )
-    if not any(event.id in found.predictions for event in events):
-        raise InvalidSettingError(f"{found.name} predicts none of the {len(events)} events")
-    return found.name, found.predictions
+# --- the events that are asked about --------------------------------------------------------------
+
+GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
+EVENT_FILES: Final = (".json",)  # endings of the files that are read from a folder of events
 
 
-def cost_of(
-    predictions: Mapping[str, Prediction], workers: int | None, wall_seconds: float | None
-) -> dict[str, Any]:
-    """Return the cost of predictions, in total and for each."""
-    each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
-    counts, seconds = (
-        [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
-        for name in ("simulations", "seconds")
-    )
-    return {
-        "seconds": sum(seconds),
-        "simulations": sum(counts) if counts else None,
-        "workers": workers,
-        "wall_seconds": wall_seconds,
-        "events": each,
-    }
-
-
-def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
-    """Return the answers of a reference model as if it had been evaluated on the events.
-
-    The result has no seed, no times and no folder. Events without an answer of the model are in
-    ``failures``.
+def all_events(
+    events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
+) -> list[Event]:
+    """Return the events of a file or folder, or the given events, checked.
 
     Args:
-        events: with their predictions (:mod:`phase_ppl.evaluation.prediction`).
-        name: of the model, as the events call it.
+        events: a file, a folder of files or a generated data set; an event, or several.
+        split: of a generated data set, only the events of that part.
 
     Raises:
-        UnknownNameError: no event has a prediction of that model.
-        InvalidEventError: a prediction cannot be read.
+        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
+        InvalidSettingError: ``events`` are none of these.
     """
-    references = reference_predictions(events)
-    check_name("reference model", name, references)
-    predictions = references[name]
-    settings = {
-        "model": name,
-        "reference": True,
-        "seed": None,
-        "events": {event.id: event_digest(event) for event in events},
-    }
-    failures = {
-        event.id: f"the event carries no prediction of {name}"
-        for event in events
-        if event.id not in predictions
-    }
-    cost = cost_of(predictions, None, None)
-    return Evaluation(list(events), predictions, failures, settings, cost)
+    if split is not None:
+        path = events if isinstance(events, str | os.PathLike) else None
+        generated = events if path is None else load_events(path)
+        if not isinstance(generated, GeneratedEvents):
+            raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
+        return list(generated.split(split))
+    if isinstance(events, Event):
+        sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
+    elif isinstance(events, str | os.PathLike):
+        sources = [(f" in {file}", load_events(file)) for file in _files(events)]
+    else:
+        instance_of("events", events, Iterable, "a file, a folder or events")
+        sources = [("", list(events))]
+    seen: dict[str, str] = {}
+    for where, found in sources:
+        for event in found:
+            if not isinstance(event, Event):
+                raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_events reads")
+            if event.id in seen:
+                both = f"{seen[event.id]} and{where}" if where else ""
+                raise InvalidEventError(f"there are two events with the id {event.id!r}{both}")
+            seen[event.id] = where
+    if not seen:
+        raise InvalidEventError("there are no events to evaluate")
+    return [event for _, found in sources for event in found]
+
+
+def _files(path: str | os.PathLike[str]) -> list[Path]:
+    source = Path(path)
+    if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
+        return [source]
+    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
+        raise InvalidEventError(
+            f"{source} holds an evaluation; its events are in {source / EVENTS}"
+        )
+    files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
+    if not files:
+        endings = ", ".join(EVENT_FILES)
+        raise InvalidEventError(f"{source}: the folder holds no event files ({endings})")
+    return files
 
 
 # --- kept -----------------------------------------------------------------------------------------
@@ -517,20 +493,6 @@ class ResultsFolder:
             )
         return prediction
 
-    def with_moments(self, event: Event) -> Prediction | None:
-        """Return an event's prediction at the moments at which people judged it, and keep it.
-
-        They are read off its posterior. None: it has none.
-        """
-        source = self.folder_of(event.id) / POSTERIOR
-        made = self.prediction(event.id)
-        if made is None or not source.is_file():
-            return None
-        moments, hindsight = until_moments(load_posterior(source), moments_of(event))
-        found = dataclasses.replace(made, moments=moments, hindsight=hindsight)
-        write_json(source.with_name(PREDICTION), found.to_dict())
-        return found
-
     def write_failures(self, failures: Mapping[str, str]) -> None:
         """Keep what went wrong, by event."""
         write_json(self.path / FAILURES, failures)
@@ -539,15 +501,6 @@ class ResultsFolder:
         """Return event id -> what went wrong."""
         source = self.path / FAILURES
         return read_json(source) if source.is_file() else {}
-
-    def last_call(self) -> tuple[int | None, float | None]:
-        """Return workers and wall seconds of the call that finished it, by metrics.json."""
-        source = self.path / METRICS
-        cost = read_json(source).get("cost") if source.is_file() else None
-        given = cost if isinstance(cost, Mapping) else {}
-        workers, seconds = (number_or_nan(given.get(n)) for n in ("workers", "wall_seconds"))
-        known = math.isfinite(workers) and math.isfinite(seconds)
-        return (int(workers), seconds) if known else (None, None)
 
 
 def entry_name(place: int, event_id: str) -> str:
@@ -563,16 +516,6 @@ def holds_predictions(folder: Path) -> bool:
 # --- printed --------------------------------------------------------------------------------------
 
 
-def difference_table(found: Mapping[str, Any]) -> str:
-    """Return the table of differences that ``Evaluation.against`` found."""
-    head = wrapped(
-        f"{found['one']} minus {found['other']}: on the {found['n_events']} events that both "
-        "predict; intervals and p from resampled events"
-    )
-    tables = (table.lines() for table in metric_tables([("difference", found)]))
-    return "\n".join([*head, *itertools.chain(*tables)])
-
-
 def _first(texts: Sequence[str], what: str) -> list[str]:
     """Return the first few texts, shortened; the last says where there are more."""
     shown = [textwrap.shorten(text, 2 * WIDTH, placeholder=" ...") for text in texts[:_FEW]]
@@ -585,10 +528,6 @@ def _cost(cost: Mapping[str, Any]) -> str:
     words += f", {_time(sum(cpu))} of CPU" if cpu else ""
     if cost["simulations"] is not None:
         words = f"{cost['simulations']} simulations, {words}"
-    if cost["wall_seconds"] is not None:
-        n = cost["workers"]
-        on = "" if n is None else f" with {n} worker{'' if n == 1 else 's'}"
-        words += f"; this call took {_time(cost['wall_seconds'])} by the clock{on}"
     return words
 
 

@@ -35,8 +35,6 @@ from phase_ppl.data.documents import read_columns
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
-    InvalidSettingError,
-    check_name,
     positive_number,
     shown,
 )
@@ -50,7 +48,7 @@ LABELS: Final = (
 )  # fmt: skip
 """The paper's 23 labels, in its order and words (Appendix A.1)."""
 
-MAJORITY: Final = 0.5  # least share of a video's viewers that gives it a category (paper)
+MAJORITY: Final = 0.5 - 1e-12  # least share of viewers that gives a video a category (paper)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,21 +84,13 @@ class Tags:
         counts = counts.reindex(index=self.viewers.index, columns=list(self.labels), fill_value=0)
         return counts.div(self.viewers, axis=0)
 
-    def categories(self, majority: float = MAJORITY) -> pd.DataFrame:
-        """Return video x label -> whether at least ``majority`` of its viewers chose it.
+    def summary(self) -> pd.DataFrame:
+        """Return label -> ``percent`` of videos with it as a category, and ``used`` at all.
 
-        Raises:
-            InvalidSettingError: ``majority`` is no share above 0.
+        At least half of a video's viewers chose its categories (paper).
         """
-        if not (isinstance(majority, int | float) and 0 < majority <= 1):
-            raise InvalidSettingError(f"majority={shown(majority)}, expected a share above 0")
-        return self.shares >= majority - 1e-12
-
-    def summary(self, majority: float = MAJORITY) -> pd.DataFrame:
-        """Return label -> ``percent`` of videos with it as a category, and ``used`` at all."""
-        return pd.DataFrame(
-            {"percent": 100 * self.categories(majority).mean(), "used": (self.shares > 0).sum()}
-        )
+        categories = self.shares >= MAJORITY
+        return pd.DataFrame({"percent": 100 * categories.mean(), "used": (self.shares > 0).sum()})
 
     def __repr__(self) -> str:
         return (
@@ -133,7 +123,6 @@ MARGIN: Final = 0.5
 """Difference of mean ratings below which two groups count as equivalent: half a step."""
 
 By = Literal["participants", "videos"]
-_COLUMN: Final = {"participants": "participant", "videos": "video"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -153,17 +142,12 @@ class Likeness:
         return found[0], found[1]
 
     def means(self, by: By = "videos") -> Mapping[str, FloatArray]:
-        """Return group -> mean rating of each video, or of each participant.
-
-        Raises:
-            UnknownNameError: ``by`` is neither.
-        """
+        """Return group -> mean rating of each video, or of each participant."""
         found = self._means(by)
         return {group: found[group].to_numpy(float) for group in self.groups}
 
     def _means(self, by: By) -> pd.Series[float]:
-        check_name("by", by, _COLUMN)
-        return self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
+        return self.table.groupby(["group", by.removesuffix("s")])["rating"].mean()
 
     def summary(self) -> pd.DataFrame:
         """Return group -> mean rating, and its standard deviation over videos and participants.
@@ -179,33 +163,32 @@ class Likeness:
         found["ratings"] = of_group.size()
         return found
 
-    def equivalence(self, margin: float = MARGIN, by: By = "participants") -> dict[str, Any]:
+    def equivalence(self, margin: float = MARGIN) -> dict[str, Any]:
         """Test whether the mean ratings of the groups differ by less than a margin.
 
-        Two one-sided Welch tests (TOST). Equivalence is shown if both reject, that is, if the 90 %
-        interval lies within the margin.
+        Two one-sided Welch tests (TOST) of the means of participants, who were assigned to groups
+        at random. Equivalence is shown if both reject, that is, if the 90 % interval lies within
+        the margin.
 
         Args:
             margin: in steps of the rating.
-            by: unit of the means: videos or participants. Participants were assigned to groups at
-                random.
 
         Returns:
             ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
-            larger of the two; ``equivalent``, whether it is below 0.05; and ``n``, of the groups.
-            If all means within each group are equal, their variance is unknown: ``ci_low``,
-            ``ci_high`` and ``p`` are None, and equivalence is not shown.
+            larger of the two; and ``equivalent``, whether it is below 0.05. If all means within
+            each group are equal, their variance is unknown: ``ci_low``, ``ci_high`` and ``p`` are
+            None, and equivalence is not shown.
 
         Raises:
             InvalidSettingError: ``margin`` is no positive number.
-            InvalidEventError: a group has fewer than two means.
+            InvalidEventError: a group has fewer than two participants.
         """
         from scipy import stats
 
         positive_number("margin", margin)
-        first, second = self.means(by).values()
+        first, second = self.means("participants").values()
         if min(len(first), len(second)) < 2:
-            raise InvalidEventError(f"each group needs two {by} or more")
+            raise InvalidEventError("each group needs two participants or more")
         difference = float(first.mean() - second.mean())
         p = low = high = None
         if not np.ptp(first) == 0 == np.ptp(second):
@@ -221,11 +204,8 @@ class Likeness:
             "difference": difference,
             "ci_low": low,
             "ci_high": high,
-            "margin": float(margin),
-            "by": by,
             "p": p,
             "equivalent": p is not None and p < 0.05,
-            "n": (len(first), len(second)),
         }
 
     def __repr__(self) -> str:

@@ -38,7 +38,7 @@ import functools
 import math
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,8 +47,6 @@ import pandas as pd
 
 from phase_ppl.data.authors import parse_name
 from phase_ppl.data.documents import Keep, in_front, of_kind, reading_bytes, too_large
-from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
-from phase_ppl.data.load import load_events
 from phase_ppl.evaluation.answers_file import (
     COLUMNS,
     Graded,
@@ -57,14 +55,13 @@ from phase_ppl.evaluation.answers_file import (
     read_answers,
     summed_up,
 )
-from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
+from phase_ppl.evaluation.evaluation import all_events
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, reference_predictions
 from phase_ppl.evaluation.ratings import Given, Judgments, Rows
 from phase_ppl.evaluation.table import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
-    instance_of,
     shown,
 )
 from phase_ppl.world.event import Event
@@ -208,7 +205,7 @@ def load_judgments(
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
-    """Return the events with a study's judgments; events that it lacks have none.
+    """Return the events with their judgments replaced by those of a study.
 
     Raises:
         InvalidEventError: the study has answers to none of the events.
@@ -303,65 +300,7 @@ def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
     return answers, checks
 
 
-# --- the events of an evaluation, and people's judgments of them ----------------------------------
-
-GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
-EVENT_FILES: Final = (".json",)  # endings of the files that are read from a folder of events
-
-
-def all_events(
-    events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
-) -> list[Event]:
-    """Return the events of a file or folder, or the given events, checked.
-
-    Args:
-        events: a file, a folder of files or a generated data set; an event, or several.
-        split: of a generated data set, only the events of that part.
-
-    Raises:
-        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
-        InvalidSettingError: ``events`` are none of these.
-    """
-    if split is not None:
-        path = events if isinstance(events, str | os.PathLike) else None
-        generated = events if path is None else load_events(path)
-        if not isinstance(generated, GeneratedEvents):
-            raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
-        return list(generated.split(split))
-    if isinstance(events, Event):
-        sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
-    elif isinstance(events, str | os.PathLike):
-        sources = [(f" in {file}", load_events(file)) for file in _files(events)]
-    else:
-        instance_of("events", events, Iterable, "a file, a folder or events")
-        sources = [("", list(events))]
-    seen: dict[str, str] = {}
-    for where, found in sources:
-        for event in found:
-            if not isinstance(event, Event):
-                raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_events reads")
-            if event.id in seen:
-                both = f"{seen[event.id]} and{where}" if where else ""
-                raise InvalidEventError(f"there are two events with the id {event.id!r}{both}")
-            seen[event.id] = where
-    if not seen:
-        raise InvalidEventError("there are no events to evaluate")
-    return [event for _, found in sources for event in found]
-
-
-def _files(path: str | os.PathLike[str]) -> list[Path]:
-    source = Path(path)
-    if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
-        return [source]
-    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
-        raise InvalidEventError(
-            f"{source} holds an evaluation; its events are in {source / EVENTS}"
-        )
-    files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
-    if not files:
-        endings = ", ".join(EVENT_FILES)
-        raise InvalidEventError(f"{source}: the folder holds no event files ({endings})")
-    return files
+# --- events with people's judgments ---------------------------------------------------------------
 
 
 def judged(

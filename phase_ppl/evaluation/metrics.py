@@ -4,8 +4,7 @@ A *measure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None 
 computed. Accuracies, overall and by scenario, have Clopper and Pearson's interval for the effective
 number of independent answers (:func:`~phase_ppl.evaluation.bootstrap.proportion`). All other
 intervals are percentiles over resampled events. Accuracy of goals is over both agents' goals.
-Answers are ranked by probability, ties in label order; ``ties`` counts the events with one, per
-question.
+Answers are ranked by probability, ties in label order.
 
 ``evaluate_predictions`` gives:
 
@@ -32,16 +31,12 @@ question.
                                and ``accuracy`` of posteriors' answers: about decided events,
                                about others, and sure answers; see
                                :class:`~phase_ppl.evaluation.prediction.Prediction`
-``confusion``                  true scenario -> scenario of the two goals answered -> events; None
-                               in other worlds than PHASE
 ``human``                      see below
 ``doubt``                      whether the model is unsure where people are:
                                :mod:`phase_ppl.evaluation.doubt`; None unless the world has exactly
                                one pair of agents
 ``moments``                    agreement with people who judged at moments of the film:
-                               :mod:`phase_ppl.evaluation.moments`; None where nobody did
-``ties``                       question -> events in which several answers are the most probable;
-                               None without probabilities
+                               the same module; None where nobody did
 =============================  ===================================================================
 
 ``human`` is about people's answers: each event has a distribution per question. Names without
@@ -87,24 +82,23 @@ from phase_ppl.evaluation.bootstrap import (
     weighted_mean,
 )
 from phase_ppl.evaluation.doubt import (
+    PREFIX,
     doubt,
     jensen_shannon,
     label_places,
     log_probabilities,
     log_score,
+    moments,
     negative_entropy,
     same_truth,
     split_half_of,
 )
-from phase_ppl.evaluation.moments import PREFIX, moments
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions, scenario_of
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments, rehearsed
 from phase_ppl.evaluation.table import (
     Answers,
     Place,
-    kinds_of,
     parts_of,
-    places_of_scenarios,
     predicted,
     responses_of,
     world_of,
@@ -154,30 +148,6 @@ def reference_models(
     return {name: scores.metrics(given) for name, given in reference_predictions(events).items()}
 
 
-def paired_difference(
-    events: Sequence[Event],
-    one: Mapping[str, Prediction],
-    other: Mapping[str, Prediction],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
-) -> dict[str, Any]:
-    """Return the paired differences of scores, ``one`` minus ``other``.
-
-    Both have the same resamples of events. Only questions that both answer count, event by event.
-
-    Returns:
-        ``n_events``, the events that both predict, and every measure of
-        :func:`evaluate_predictions` that is about the model, in the same place, as
-        ``{"value", "ci_low", "ci_high", "p"}``: one minus other, and a two-sided bootstrap p.
-        Lower is better for ``js``, higher for everything else.
-
-    Raises:
-        As :func:`evaluate_predictions`.
-    """
-    return Scores(events, seed=seed, resamples=resamples).difference(one, other)
-
-
 class Scores:
     """Metrics of several models and their differences, on the same resamples of events.
 
@@ -215,30 +185,21 @@ class Scores:
         count_scenarios(result, answers.scenarios)
         result["calibration"] = {k: calibration(one) for k, one in scores.items()}
         result["verdict"] = {k: verdict(one) for k, one in scores.items()}
-        made = places_of_scenarios(predictions[name].scenario for name in ids)
-        result["confusion"] = confusion(answers.scenarios, made)
         result["doubt"] = doubt(answers, self._seed, self._resamples)
         result["moments"] = moments(answers, self._seed, self._resamples)
         if result["moments"] is not None:
             said = {predictions[name].hindsight for name in ids} - {""}
             result["moments"]["hindsight"] = bool(said)
-        result["ties"] = count_ties(answers, "probability")
-        return result
-
-    def difference(
-        self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
-    ) -> dict[str, Any]:
-        """Return the differences, as :func:`paired_difference`."""
-        answers, found = self.differences(one, other)
-        result: dict[str, Any] = {"n_events": len(answers.events)}
-        put(result, found)
-        count_scenarios(result, answers.scenarios)
         return result
 
     def differences(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> tuple[Answers, dict[Place, Measure | None]]:
-        """Return the answers of ``one`` about the events that both predict, and all differences."""
+        """Return the answers of ``one`` about the events that both predict, and all differences.
+
+        Only questions that both answer count, event by event. A difference is one minus other, with
+        a two-sided bootstrap p. Lower is better for ``js``, higher for everything else.
+        """
         first, second = self._answers(one).about(other), self._answers(other).about(one)
         of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
         places: dict[Place, int] = {}  # parts of the metrics stay together
@@ -395,22 +356,6 @@ def events_with(values: FloatArray) -> int:
     return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
 
 
-def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | None:
-    """Return true scenario -> other scenario -> number of pairs, from indices (pair,) of both.
-
-    Pairs with an unknown scenario (-1) do not count; None if all are unknown.
-    """
-    known = (true >= 0) & (other >= 0)
-    if not known.any():
-        return None
-    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
-    np.add.at(counts, (true[known], other[known]), 1)
-    return {
-        name: dict(zip(SCENARIOS, row, strict=True))
-        for name, row in zip(SCENARIOS, counts.tolist(), strict=True)
-    }
-
-
 SURE: Final = (0.0, 0.5, 0.8, 0.95)
 """Thresholds of probability for ``calibration``."""
 
@@ -438,19 +383,6 @@ def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
     """Return how many chosen answers have known truth, and the share that is right."""
     known = np.where(chosen, right, np.nan)
     return {"n": int(np.isfinite(known).sum()), "accuracy": proportion(known)}
-
-
-def count_ties(answers: Answers, column: str) -> dict[str, int | None]:
-    """Return question -> number of events in which several answers lead; None: nothing is known."""
-    found: dict[str, int | None] = {}
-    for kind, questions in kinds_of(answers.world).items():
-        values = answers.array(kind, column)
-        leading = np.isclose(values, values.max(axis=-1, keepdims=True), rtol=0, atol=1e-12)
-        ties = (leading.sum(axis=-1) > 1).sum(axis=0)
-        known = np.any(~np.isnan(values), axis=(0, -1))
-        told = zip(questions, ties.tolist(), known.tolist(), strict=True)
-        found |= {question: n if is_known else None for question, n, is_known in told}
-    return found
 
 
 def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
@@ -494,11 +426,10 @@ def human_accuracy(
         ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
         (:mod:`phase_ppl.evaluation.metrics`). An event's score is the share of people who are
         right; intervals are over events. Other worlds have ``by_agent`` and ``by_pair``.
-        ``majority`` is the same for the most frequent answers, ties in label order; ``ties`` counts
-        the events with one, per question. ``scripted``, true, is there if the answers are those of
-        scripted people, in a rehearsal of a study. None if it is unknown who gave which answer:
-        ``by_participant``, see :func:`participant_accuracy`, and ``confusion``, true scenario ->
-        scenario of a participant's goals -> responses.
+        ``majority`` is the same for the most frequent answers, ties in label order. ``scripted``,
+        true, is there if the answers are those of scripted people, in a rehearsal of a study.
+        ``by_participant``: see :func:`participant_accuracy`; None if it is unknown who gave which
+        answer.
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
@@ -525,24 +456,8 @@ def human_accuracy(
         put(place, {path: one.measure() for path, one in measures.items()})
         count_scenarios(place, answers.scenarios)
     result["majority"] = of_majority
-    result["ties"] = count_ties(answers, "people")
-    result["by_participant"] = result["confusion"] = None
-    given = responses_of(chosen)
-    if given is not None:
-        result["by_participant"] = participant_accuracy(chosen)
-        # of graded answers the label with the largest share
-        leading = given.sort_values("value", ascending=False, kind="stable")
-        leading = leading.drop_duplicates(["event", "who", "question"])
-        labels = leading.pivot(index=["event", "who"], columns="question", values="label")
-        rows = [(i, dict(row.dropna())) for (i, _), row in labels.iterrows()]
-        scenario_of_event = dict(
-            zip((event.id for event in chosen), answers.scenarios, strict=True)
-        )
-        pairs = (
-            [scenario_of_event[event] for event, _ in rows],
-            [scenario_of(r, answers.world) for _, r in rows],
-        )
-        result["confusion"] = confusion(np.array(pairs[0]), places_of_scenarios(pairs[1]))
+    known = responses_of(chosen) is not None
+    result["by_participant"] = participant_accuracy(chosen) if known else None
     return result
 
 

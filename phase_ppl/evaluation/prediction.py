@@ -78,14 +78,6 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 """Agent of PHASE -> the question about its goal."""
 
 
-def scenario_of(answers: Mapping[str, str], world: World) -> str | None:
-    """Return the scenario of the two goals answered in PHASE; None where one is missing."""
-    if not space_of(world).scenario_names or not answers.keys() >= {*GOAL_QUESTIONS.values()}:
-        return None
-    red, green = (answers[question] for question in GOAL_QUESTIONS.values())
-    return scenario(red, green)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction(Printed):
     """Answers to the questions about one event. What is not given is absent, never guessed.
@@ -234,7 +226,11 @@ class Prediction(Printed):
     @property
     def scenario(self) -> str | None:
         """Scenario of the two goals answered in PHASE; None where one is missing."""
-        return scenario_of(self.answers, self.world)
+        answered = self.answers.keys() >= {*GOAL_QUESTIONS.values()}
+        if not (space_of(self.world).scenario_names and answered):
+            return None
+        red, green = (self.answers[question] for question in GOAL_QUESTIONS.values())
+        return scenario(red, green)
 
     def estimate(self, question: str, answer: str) -> Estimate:
         """Return the probability of an answer, with its error where that is known."""
@@ -243,20 +239,16 @@ class Prediction(Printed):
         error = math.nan if errors is None else float(errors[place])
         return Estimate(float(self.probabilities[question][place]), error)
 
-    def top(self, question: str, n: int) -> tuple[str, ...] | None:
-        """Return the ``n`` most probable answers, ties in label order; None where not given."""
-        if question not in self.probabilities:
-            return None
-        order = np.argsort(-self.probabilities[question], kind="stable")[:n]
-        return tuple(self.questions[question][index] for index in order)
-
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
+        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back.
+
+        Answers of probability 0 are left out.
+        """
         labels = self.questions
-        probabilities, errors = (
-            {q: dict(zip(labels[q], plain(values), strict=True)) for q, values in given.items()}
-            for given in (self.probabilities, self.errors)
-        )
+        probabilities = {q: _possible(labels[q], p) for q, p in self.probabilities.items()}
+        errors = {
+            q: dict(zip(labels[q], plain(values), strict=True)) for q, values in self.errors.items()
+        }
         moments = [
             {"at": at, **{q: _possible(labels[q], values) for q, values in given.items()}}
             for at, given in self.moments.items()
@@ -321,10 +313,11 @@ class Prediction(Printed):
             if question not in self.probabilities:
                 lines += wrapped(label, answer)
                 continue
-            others = [one for one in self.top(question, _SHOWN) or () if one != answer]
-            each = [(name, self.estimate(question, name)) for name in (answer, *others)]
-            n = _SHOWN if len(self.answers) <= _MANY else 1
-            lines += bars(label, [(name, p) for name, p in each[:n] if p or name == answer])
+            order = np.argsort(-self.probabilities[question], kind="stable")
+            names = dict.fromkeys([answer, *(self.questions[question][i] for i in order)])
+            shown = list(names)[: _SHOWN if len(self.answers) <= _MANY else 1]
+            each = [(name, self.estimate(question, name)) for name in shown]
+            lines += bars(label, [(name, p) for name, p in each if p or name == answer])
         unsure = ", ".join(question for question, sure in self.sure.items() if not sure)
         return "\n".join([*lines, *(wrapped("not sure", unsure) if unsure else ())])
 

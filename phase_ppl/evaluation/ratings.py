@@ -93,19 +93,6 @@ class Judgments:
         ratings = self.counts[question]
         return ratings / ratings.sum()
 
-    def share(self, question: str, answer: str) -> float | None:
-        """Return the share of people who gave ``answer``; None where nobody answered."""
-        shares = self.distribution(question)
-        return (
-            None if shares is None else float(shares[labels_of(question, self.world).index(answer)])
-        )
-
-    def majority(self, question: str) -> str | None:
-        """Return the most frequent answer, of equals the first in label order."""
-        if question not in self.counts:
-            return None
-        return labels_of(question, self.world)[int(self.counts[question].argmax())]
-
     @classmethod
     def of(cls, event: Event) -> Judgments | None:
         """Return the judgments that an event carries; None where there are none.

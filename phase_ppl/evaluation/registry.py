@@ -188,7 +188,6 @@ def check_world(model: object, world: World) -> None:
 
 
 def is_installed(module: str) -> bool:
-    """Whether a module can be imported; it is not."""
     try:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing
@@ -231,7 +230,6 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
             raise InvalidSettingError(
                 f"{', '.join(options)}: options are for models given by name, not for {model!r}"
             )
-        _check_signature(model)
         name = getattr(model, "__name__", type(model).__name__)
         predict, parallel, source = model, True, model
     details = getattr(predict, "settings", dict)
@@ -272,14 +270,3 @@ def seen_through(
         observer = phase_ppl.FittedObserver.named(observer, model.name, world)
     record = {**model.record, **observer.record}
     return dataclasses.replace(model, predict=observer.seeing(model.predict, world), record=record)
-
-
-def _check_signature(model: Predict) -> None:
-    try:
-        inspect.signature(model).bind(None, None, 0)
-    except TypeError as error:
-        raise InvalidSettingError(
-            f"model {model!r} cannot be called as (scene, observation, seed): {error}"
-        ) from None
-    except ValueError:  # of a compiled function, which does not say what it takes
-        return

@@ -217,7 +217,8 @@ class Answers:
     @functools.cached_property
     def scenarios(self) -> IntArray:
         """(event,) indices of the true scenarios, -1 where unknown."""
-        return places_of_scenarios(map(true_scenario, self.events))
+        names = map(true_scenario, self.events)
+        return np.array([-1 if name is None else SCENARIOS.index(name) for name in names], np.int64)
 
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
@@ -259,11 +260,6 @@ def _until(judged: Judgments | None, at: float | None) -> Judgments | None:
     """Return judgments of the whole film, or up to a moment; None where there are none."""
     found = judged if judged is None or at is None else judged.moments.get(at)
     return found if found is not None and found.counts else None
-
-
-def places_of_scenarios(names: Iterable[str | None]) -> IntArray:
-    """Return the indices of scenarios, -1 where there is none."""
-    return np.array([-1 if name is None else SCENARIOS.index(name) for name in names], np.int64)
 
 
 def _marked(labels: Sequence[str], label: str | None) -> list[bool] | None:

@@ -396,15 +396,6 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
             StepwisePosterior(damaged)
 
 
-@pytest.mark.usefixtures("unpainted")
-def test_the_page_of_a_run_speaks_of_its_world(tmp_path: Path) -> None:
-    post = of_three()
-    post.save(tmp_path / "posterior.nc")
-    page = ppl.report(tmp_path).read_text("utf-8")
-    for words in ("purple agent", "red &amp; purple", "What decided"):
-        assert words in page
-
-
 PLACE = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}
 
 

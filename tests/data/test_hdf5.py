@@ -187,7 +187,7 @@ def test_a_posterior_that_is_not_what_it_was_is_refused(
 
 def test_a_damaged_posterior_is_the_same_or_refused_by_name(tmp_path: Path, saved: Path) -> None:
     path, rng = tmp_path / "damaged.nc", random.Random(0)
-    intact, complaints = str(Posterior.load(saved)), list[str]()
+    intact, complaints = str(ppl.load_posterior(saved)), list[str]()
     for case in range(20):
         content = bytearray(saved.read_bytes())
         if case < 4:
@@ -197,7 +197,7 @@ def test_a_damaged_posterior_is_the_same_or_refused_by_name(tmp_path: Path, save
                 content[rng.randrange(len(content))] = rng.randrange(256)
         path.write_bytes(content)
         try:
-            found = str(Posterior.load(path))
+            found = str(ppl.load_posterior(path))
         except InvalidEventError as error:
             complaints.append(str(error))
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phase_ppl.evaluation.differences import differences_of
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
 from phase_ppl.world.event import Event, Observation, Truth
@@ -73,3 +74,14 @@ def values(metrics: Mapping[str, Any], *paths: str) -> list[float | None]:
     """Return the values of figures at places in the metrics, parts joined by dots."""
     figures = [at(metrics, path) for path in paths]
     return [figure and figure["value"] for figure in figures]
+
+
+def differences(
+    events: Sequence[Event],
+    one: Mapping[str, Prediction],
+    other: Mapping[str, Prediction],
+    resamples: int = 1000,
+) -> dict[str, dict[str, Any]]:
+    """Return measure, in a scenario after its name -> difference of two models."""
+    rows = differences_of(events, {"one": one, "other": other}, seed=0, resamples=resamples)
+    return {".".join(filter(None, (row["scenario"], row["measure"]))): row for row in rows}

@@ -14,7 +14,7 @@ from scipy.stats import entropy, pearsonr
 
 from phase_ppl.evaluation.bootstrap import correlation, resampled
 from phase_ppl.evaluation.doubt import jensen_shannon, rows_of, same_truth, split_half
-from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
+from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
@@ -28,6 +28,7 @@ from tests.evaluation.judged import (
     OPPOSING,
     PINK_TO_BLUE,
     by_id,
+    differences,
     make_event,
     shares,
 )
@@ -144,27 +145,15 @@ def test_people_themselves_agree_and_r_of_what_is_constant_is_none() -> None:
     assert flat["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
-def test_events_without_probabilities_or_judgments_do_not_count() -> None:
-    watched = events()
-    watched[0] = make_event("0", COLLABORATIVE)
-    made = {**model(), "1": Prediction("1", answers={"relation": "friendly"})}
-    metrics = evaluate_predictions(watched, made)
-    expected = pearsonr(np.ravel(MODEL[2:]), PEOPLE[2:].ravel()).statistic
-    assert metrics["human"]["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
-    assert metrics["n"]["relation_judgments"] == 5
-    bound = -np.mean([entropy(h) for h in PEOPLE[2:]])
-    assert metrics["human"]["log_score_people"]["value"] == pytest.approx(bound)
-
-
 def test_differences_of_agreement_are_paired() -> None:
-    found = paired_difference(events(), model(PEOPLE.tolist()), model())["human"]
+    found = differences(events(), model(PEOPLE.tolist()), model())
     of_one, of_other = human(model(PEOPLE.tolist())), human()
     for name in ("relation_r", "relation_r_given_truth", "log_score", "js"):
         expected = of_one[name]["value"] - of_other[name]["value"]
-        assert found[name]["value"] == pytest.approx(expected, abs=1e-12)
-        assert found[name]["ci_low"] <= found[name]["ci_high"]
-    assert found["js"]["ci_high"] < 0
-    assert found["goal_r"] is None
+        assert found[f"human.{name}"]["value"] == pytest.approx(expected, abs=1e-12)
+        assert found[f"human.{name}"]["ci_low"] <= found[f"human.{name}"]["ci_high"]
+    assert found["human.js"]["ci_high"] < 0
+    assert "human.goal_r" not in found
 
 
 # --- people with each other --------------------------------------------------------------------

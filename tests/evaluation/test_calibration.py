@@ -22,6 +22,7 @@ from tests.inference.toy import all_of_few_goals, few_goals
 SCENE = ppl.Scene(start=START, radius=np.full(4, 0.8))
 SPREAD = 1.0
 N_FRAMES = 3
+N = 200  # videos
 QUIET: dict[str, Any] = {"frames": N_FRAMES, "scenes": SCENE, "workers": 1, "progress": False}
 
 
@@ -70,19 +71,19 @@ def calibrate(n: int, spread: float = SPREAD, **more: Any) -> ppl.Calibration:
 
 @pytest.fixture(scope="module")
 def exact() -> ppl.Calibration:
-    return calibrate(200)
+    return calibrate(N)
 
 
 def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
     summary = exact.summary
     assert list(summary.index) == ["goal_red", "goal_green", "relation"]
-    assert summary["verdict"].tolist() == ["nothing wrong found in 200 videos"] * 3
+    assert summary["verdict"].tolist() == [f"nothing wrong found in {N} videos"] * 3
     assert (summary["p_even"] > 0.01).all()
     assert (summary["p_score"] > 0.01).all()
     bins = exact.reliability("goal_red")
-    assert bins["n"].sum() == 200
+    assert bins["n"].sum() == N
     assert bins["probability"].between(bins["low"], bins["high"]).mean() >= 0.8
-    told = exact.to_dataframe()
+    told = exact.table
     assert told["rank"].between(0, told["n"]).all()
     assert told["place"].between(0, 1).all()
 
@@ -92,15 +93,12 @@ def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
     [(0.5, "too sure", -1), (2.5, "less sure than it should be", 1)],
     ids=["too narrow", "too wide"],
 )
-def test_a_wrong_noise_is_found(
-    exact: ppl.Calibration, spread: float, verdict: str, sign: int
-) -> None:
-    summary = calibrate(200, spread).summary
+def test_a_wrong_noise_is_found(spread: float, verdict: str, sign: int) -> None:
+    summary = calibrate(N, spread).summary
     assert summary.loc["goal_red", "verdict"].startswith(verdict)
     right_minus_sure = summary["right"] - summary["sure"]
     assert sign * right_minus_sure["goal_red"] > 0.03
     assert summary.loc["goal_red", "p_even"] < 0.05
-    assert summary.loc["goal_red", "ece"] > exact.summary.loc["goal_red", "ece"]
 
 
 @pytest.mark.parametrize(
@@ -161,12 +159,6 @@ def test_the_closed_loop_is_asked_about_strengths_too() -> None:
     assert found.reliability("strength_red")["probability"].tolist() == [0.5, 0.8, 0.9, 0.95]
     assert any("a frame counts 0.5" in note for note in found.notes)
     assert str(found).split()[:3] == ["calibration", "closed", "loop:"]
-
-
-def test_a_kernels_calibration_has_its_name(tmp_path: Path) -> None:
-    found = ppl.calibrate(MODEL, 1, kernel="enumerate", **QUIET)
-    title = found.plot(tmp_path / "ranks.png").get_suptitle()
-    assert title == "enumerate: 1 video drawn from the prior"
 
 
 class OnlyKnows:

@@ -11,8 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.cli.users_parts import options_of
-from phase_ppl.evaluation import figures, report
+from phase_ppl.evaluation import figures
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
 from tests.test_cli import Capture, fails, told
@@ -66,7 +65,7 @@ def read(name: str, folder: Path = OUT) -> Any:
     return json.loads((folder / name).read_text())
 
 
-def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
+def test_it_prints_a_table_and_writes_predictions_metrics_and_figures(
     capsys: Capture,
 ) -> None:
     study = Path("people.csv")
@@ -80,22 +79,9 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
     assert read("metrics.json")["people"]["relation_accuracy"]["value"] == 0.5
     assert read("settings.json")["options"] == {"size": 3}
     assert (OUT / "figures" / "accuracy.png").stat().st_size > 1000
-    assert len(list(OUT.glob("events/*/page.html"))) == 1
     error = fails(capsys, "evaluate", OUT, "--model", "right")
     assert f"its events are in {OUT / 'events.json'}" in error
     assert f"{OUT} holds no posterior.nc\n" in fails(capsys, "query", OUT, "P(goal_red)")
-
-
-def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_is_kept(
-    capsys: Capture,
-) -> None:
-    command = ["evaluate", str(EVENTS), "--model", "right", "--workers", "1"]
-    assert main(command) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    assert "Nothing was saved" in printed.out
-    assert main([*command, "--progress"]) == 0
-    assert "predicting" in capsys.readouterr().err
 
 
 def test_a_model_that_fails_at_every_event_is_one_error_and_others_go_on(capsys: Capture) -> None:
@@ -127,11 +113,9 @@ def test_a_failing_figure_costs_no_results(
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
-    monkeypatch.setattr(report, "page_of", broken)
     assert evaluate(EVENTS, "--model", "right", "--out", OUT) == 1
     written = capsys.readouterr()
     assert "the figures cannot be drawn: no ink" in written.err
-    assert "the page of b cannot be drawn: no ink" in written.err
     assert "goals right" in written.out
     assert (OUT / "metrics.json").exists()
 
@@ -147,20 +131,6 @@ def test_ctrl_c_says_how_to_go_on_and_resume_does(capsys: Capture) -> None:
     assert "already holds" in refused(capsys, *command)
     error = refused(capsys, "--model", "right", "--out", OUT, "--resume")
     assert error.endswith("with other settings: model is 'right', was 'stops_once'\n")
-
-
-def test_against_compares_with_another_folder_also_later(capsys: Capture) -> None:
-    other = Path("other")
-    assert evaluate(EVENTS, "--model", "wrong", "--out", other, "--no-figures") == 0
-    now = (EVENTS, "--model", "right", *QUICK, "--against", other)
-    later = ("--out", other, "--against", OUT)
-    for given, said, folder, value in (
-        (now, "right minus wrong: on the 3 events", OUT, 1),
-        (later, "wrong minus right", other, -1),
-    ):
-        assert evaluate(*given) == 0
-        assert said in capsys.readouterr().out
-        assert read("against.json", folder)["relation_accuracy"]["value"] == value
 
 
 def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Capture) -> None:
@@ -187,8 +157,6 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
 def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
     capsys: Capture,
 ) -> None:
-    (OUT / "pages").mkdir(parents=True)
-    (OUT / "pages" / "0007-of_an_event_no_more_compared.html").touch()
     assert evaluate(EVENTS, *BOTH, "other=wrong", "--out", OUT, "--limit", 2) == 0
     printed = capsys.readouterr().out
     for words in ("2 models on 2 events", "right - other", f"Kept in {OUT}"):
@@ -198,10 +166,8 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
         assert (found.name, len(found.predictions)) == (model, 2)
         assert (OUT / label / "metrics.json").is_file()
         assert (OUT / label / "figures" / "accuracy.png").is_file()
-        assert len(list((OUT / label).glob("events/*/page.html"))) == 2
     assert ppl.ModelComparison.load(OUT).models == ["right", "other"]
-    assert (OUT / "figures" / "differences.png").is_file()
-    assert {page.name for page in (OUT / "pages").iterdir()} == {"0000-a.html", "0001-b.html"}
+    assert (OUT / "figures" / "accuracy.png").is_file()
 
 
 def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) -> None:
@@ -221,43 +187,26 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) ->
     assert ppl.ModelComparison.load(OUT).models == ["right", "stops_once"]
 
 
-def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
-    models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
-    given = {"size": 2, "two.size": 3, "any.what": 4}
-    found = options_of(models, {}, given)
-    assert [*found.values()] == [{"size": 2}, {}, {"size": 3}, {"size": 2, "what": 4}]
-    alone = options_of({"x": "y"}, {"a": 1}, {"b": 2, "x.c": 3})
-    assert alone == {"x": {"a": 1, "b": 2, "c": 3}}
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ("nowhere.json", "nowhere.json: no such file"),
         ("", "EVENTS is missing"),
-        ("--out nowhere --resume", "EVENTS is missing"),
         ("--out nowhere", "nowhere holds no evaluation"),
         ("--out nowhere --limit 2 --seed 0", "EVENTS is missing with --limit, --seed"),
         ("EVENTS --model last_frame --planner fast", "planner"),
         ("EVENTS --planner fast --option planner=paper", "given twice"),
-        ("EVENTS --option size", "NAME=VALUE"),
         ("EVENTS --resume", "--resume needs --out"),
-        ("EVENTS --model right --judgments nowhere.csv", "nowhere.csv: no such file"),
-        ("EVENTS --model stops --against nowhere", "nowhere: no such folder"),
-        ("EVENTS --model right --stored theirs", "--stored is for several models"),
+        ("EVENTS --model stops --against right", "--stored and --against are for several models"),
         # of several models
-        ("EVENTS --model right --model rigth", "'right'"),
         ("BOTH --option wrong.size=2", "wrong"),
-        ("BOTH --planner fast", "planner: none of the models right, wrong"),
         ("BOTH --option ritgh.size=2", "did you mean 'right'"),
-        ("BOTH --option size=2 --option size=3", "size: given twice"),
         ("BOTH --option right.seed=2", "seed: no option of a model"),
         ("EVENTS --model right --model right", "given twice: name them, as in --model o"),
         ("EVENTS --model ../a=right", "'../a' is no name for a folder"),
         ("BOTH --against nobody", "model to compare with 'nobody'"),
         ("BOTH --stored theirs", "stored model 'theirs'"),
         ("EVENTS --model right --model people=wrong", "called 'people', as people are"),
-        ("BOTH --resume", "--resume needs --out"),
         ("BOTH --out single", "holds an evaluation of one model"),
     ],
 )

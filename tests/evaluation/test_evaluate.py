@@ -187,19 +187,15 @@ def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path
         assert {name: (it["n"], it["accuracy"]["value"]) for name, it in verdict.items()} == {
             "decided": (2, 0.5), "undecided": (1, 0), "sure": (3, 1 / 3),
         }  # fmt: skip
-        words = str(one).split(
-            "relations right, where the event is decided or not, and of answers that are sure\n"
-        )[1]
-        assert words.split("\n")[0].split() == ["decided", "undecided", "sure"]
-        assert all(
-            n in words.split("\n")[1] for n in ("0.50 [0.01, 0.99] of 2", "0.00 of 1", "of 3")
-        )
+        assert "0.50 [0.01, 0.99] of 2" in str(one)
     changed(tmp_path / "events" / "0000-a" / "prediction.json", sure={"goal_red": "yes"})
     with pytest.raises(InvalidEventError, match="goal_red='yes', expected True or False"):
         ppl.Evaluation.load(tmp_path)
-    assert "verdict" in (without := evaluate().metrics)
-    assert without["verdict"] == {"goal": {}, "relation": {}}
-    assert "decides" not in str(evaluate())
+    assert evaluate().metrics["verdict"] == {"goal": {}, "relation": {}}
+    shares = {"relation": [0.5, 0.25, 0.25]}
+    unknown = ppl.Prediction("", shares, errors={"relation": [np.nan] * 3}, decided=False)
+    words = "errors of all answers are unknown, as with one set"
+    assert words in " ".join(str(evaluate(model=saying(unknown))).split())
 
 
 def test_the_tidy_table_has_a_row_per_event_question_and_label() -> None:
@@ -352,13 +348,13 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
     assert str(again) == str(found)
     assert set(kept) >= {
         *("n_events", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy", "by_scenario"),
-        *("calibration", "confusion", "human", "people", "reference_models", "failures"),
+        *("calibration", "human", "people", "reference_models", "failures"),
         *("settings", "cost"),
     }
     of_all = ("", "reference_models.rival.", "people.")
     right = values(kept, "goal_accuracy", *(f"{who}relation_accuracy" for who in of_all))
     assert right == [1, 1, 0, 0.75]
-    assert set(kept["cost"]) == {"seconds", "simulations", "workers", "wall_seconds", "events"}
+    assert set(kept["cost"]) == {"seconds", "simulations", "events"}
     assert set(kept["cost"]["events"]) == set("abcd")
     assert (kept["settings"]["model"], kept["settings"]["seed"]) == ("right", 0)
     assert "workers" not in json.dumps(kept["settings"])
@@ -385,30 +381,6 @@ def test_judgments_from_a_file_take_the_place_of_those_in_the_events(tmp_path: P
         evaluate(EVENTS[1:], judgments=file)
 
 
-# --- two models --------------------------------------------------------------------------------
-
-
-def test_differences_are_paired_over_events_that_both_have_seen(tmp_path: Path) -> None:
-    one = evaluate([dataclasses.replace(e, predictions={"rival": WRONG}) for e in EVENTS[:3]])
-    two = evaluate(EVENTS[1:], wrong, out=tmp_path)
-    found = one.against(tmp_path)
-    assert (found["one"], found["other"], found["n_events"]) == ("right", "wrong", 2)
-    # the wrong one names the green agent's goal for red, and no goal for green
-    assert values(found, "goal_accuracy", "relation_accuracy") == [1, 1]
-    assert values(two.against(one), "relation_accuracy") == [-1]
-    json.dumps(found, allow_nan=False)
-    assert values(one.against("rival"), "relation_accuracy") == [1]
-    others: list[tuple[Any, type[Exception], str]] = [
-        ("rivla", InvalidEventError, r"rivla: no such folder.*\(rival\)"),
-        (evaluate(EVENTS[3:]), InvalidSettingError, "right predicts none of the 3 events"),
-        (evaluate([still("a", shift=0.7)]), InvalidEventError, "'a' is not the same in both"),
-        (3, InvalidSettingError, "3 is neither an evaluation"),
-    ]
-    for other, error, message in others:
-        with pytest.raises(error, match=message):
-            one.against(other)
-
-
 # --- what is shown -----------------------------------------------------------------------------
 
 
@@ -426,26 +398,6 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert "not shown, but in .metrics and ppl.report: " in more
     names = [f"g_name_{i}" for i in range(4)]
     assert all(w in printed for w in ("people", *names, "1.00 [0.29, 1.00]", "independent (4)"))
-
-
-def test_a_prediction_and_an_observation_fit_a_screen() -> None:
-    said = {"goal_red": {RED_TO_RED: 0.9, GREEN_TO_RED: 0.1}, "relation": "neutral"}
-    prediction = ppl.Prediction.of(said, "walk")
-    told = dataclasses.replace(prediction, sure={"goal_red": False}, decided=False)
-    lines = str(told).splitlines()
-    assert [line.split("  ")[0] for line in lines] == [
-        "prediction",
-        "red",
-        "",
-        "relation",
-        "not sure",
-    ]
-    assert all(w in str(told) for w in ("walk, not decided", RED_TO_RED, "0.9", "goal_red"))
-    assert "decided" not in str(prediction)
-    assert repr(told) == f"<Prediction of walk: {RED_TO_RED}, neutral>"
-    assert "5 frames" in str(still(n_frames=5).observation)
-    assert "4 bodies, x 8.0 to 24.0, y 12.0 to 12.0" in str(still().observation)
-    assert len(str(still(n_frames=500).observation)) <= 100
 
 
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:

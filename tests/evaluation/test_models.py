@@ -147,15 +147,10 @@ def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
         ready("heavy", {})
 
 
-def two(scene: Any, observation: Any) -> Any:
-    """Lack the seed."""
-
-
 @pytest.mark.parametrize(
     ("model", "options", "error", "message"),
     [
         (3, {}, InvalidSettingError, "neither a name"),
-        (two, {}, InvalidSettingError, "cannot be called as"),
         (right, {"chains": 3}, InvalidSettingError, "chains: options are for models given by name"),
         ("last_frame", {"planner": "fast"}, InvalidSettingError, r"'last_frame'.*planner"),
         ("predicate", {"planner": "fast"}, InvalidSettingError, "planner is no.*rationality"),

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.text import Text
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.registry import Answer, Predict
 from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 from tests.evaluation.toys import evaluate, still
@@ -78,35 +76,6 @@ def test_a_model_is_asked_about_the_film_until_each_moment(tmp_path: Path) -> No
     assert [of["at"] for of in gone_on.metrics["moments"]["by_moment"]] == [0.25, 0.5, 0.75]
 
 
-def test_pooled_agreement_is_over_all_moments(tmp_path: Path) -> None:
-    study = ppl.load_judgments(table(), EVENTS)
-    found = evaluate(EVENTS, grows, judgments=study)
-    rows = found.to_dataframe().dropna(subset=["at", "people"])
-    expected = np.corrcoef(rows["probability"], rows["people"])[0, 1]
-    assert found.metrics["moments"]["relation_r"]["value"] == pytest.approx(expected)
-
-
-def test_one_moment_is_drawn_as_marks_with_bars(tmp_path: Path) -> None:
-    events = [still(name, 5 + place, shift=0.1 * place) for place, name in enumerate("abcdef")]
-    study = ppl.load_judgments(table(events).query("at == 1"), events)
-    models = {"grows": grows, "sure": lambda *_: {"relation": "friendly"}}  # no probabilities
-    found = {name: evaluate(events, model, judgments=study) for name, model in models.items()}
-    comparison = ppl.compare_models(found)
-    over = ppl.figures.over_time(comparison, tmp_path / "over.png")
-    assert "4 of 6 events" in "".join(text.get_text() for text in over.findobj(Text))
-    by = ppl.figures.by_moment(comparison, tmp_path / "by.png")
-    for figure in (over, by):
-        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["grows"]
-        axes = figure.axes[0]
-        marks = [line for line in axes.lines if len(line.get_xdata()) == 1]
-        assert [line.get_marker() for line in marks] == ["o", "o"]  # people and a model
-        assert len(axes.collections) == 1  # an interval
-        assert axes.get_xticks().tolist() == [1]
-        assert axes.get_xlim()[0] == 0
-        low, high = axes.get_ylim()
-        assert all(low < line.get_ydata()[0] < high for line in marks)
-
-
 def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> None:
     study = ppl.load_judgments(table(), EVENTS)
     found = {
@@ -116,12 +85,12 @@ def test_people_and_models_are_drawn_over_time_and_compared(tmp_path: Path) -> N
     comparison = ppl.compare_models(found)
     assert "at moments of the film" in str(comparison)
     figure = ppl.figures.over_time(comparison, tmp_path / "over.png")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["grows", "still"]
     assert [axes.get_title(loc="left") for axes in figure.axes[:3]] == list(LABELS)
     people, *models = figure.axes[0].lines
     assert people.get_xdata() == pytest.approx(MOMENTS)
     assert len(models) == 2
-    figure = ppl.figures.by_moment(comparison, tmp_path / "by.png")
-    assert len(figure.axes) == 2  # relations alone were judged
+    assert len(figure.axes[0].collections) == 1, "intervals of people's mean"
     with pytest.raises(ppl.errors.InvalidSettingError, match="nobody judged at a moment"):
         ppl.figures.over_time(evaluate(EVENTS, grows))
 
@@ -131,35 +100,6 @@ def test_moments_of_predictions_that_are_none_are_refused(moments: Any) -> None:
     record = {"event": "a", "probabilities": {}, "answers": {}, "moments": moments}
     with pytest.raises(ppl.errors.PhasePPLError, match=r"moment|at="):
         ppl.Prediction.from_dict(record)
-
-
-class Undecided:
-    """Whoever looks through it finds all relations alike; posteriors are kept nevertheless."""
-
-    record: Mapping[str, Any] = {"observer": "undecided"}
-
-    def seeing(self, model: Predict, world: ppl.World) -> Predict:
-        def see(scene: Scene, observation: Observation, seed: int) -> Answer:
-            artefacts = Answer.of(model(scene, observation, seed)).artefacts
-            return Answer({"relation": [1 / 3] * 3}, artefacts)
-
-        return see
-
-
-def test_a_folder_is_gone_on_with_through_the_observer(tmp_path: Path) -> None:
-    event = ppl.load_event("collaborate")
-    event = ppl.Event(event.scene, event.observation.until(1.0), id="begins", truth=event.truth)
-    how: dict[str, Any] = {
-        "observer": Undecided(), "out": tmp_path / "out", "workers": 1, "progress": False,
-        "planner": ppl.PlannerConfig(simulations=10, particles=5, paired=True),
-    }  # fmt: skip
-    assert ppl.evaluate([event], "stepwise", **how).posterior("begins") is not None
-    rows = [["p", "begins", 0.5, "friendly"]]
-    study = pd.DataFrame(rows, columns=["participant", "video", "at", "relation"])
-    found = ppl.evaluate([event], "stepwise", judgments=ppl.load_judgments(study, [event]),
-                         resume=True, **how)  # fmt: skip
-    made = found.predictions["begins"].at(0.5)
-    assert made.probabilities["relation"] == pytest.approx([1 / 3] * 3)
 
 
 def test_a_posterior_is_read_at_the_frame_of_a_moment(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
     for workers in (1, 2):
         folder = tmp_path / f"{workers}"
         found = evaluate(events, Local(folder), workers=workers, out=folder / "out")
-        assert (found.failures, found.cost["workers"]) == ({}, workers)
+        assert not found.failures
         where = [path.read_text().split() for path in folder.glob("out/events/*/where.txt")]
         here = [(process == f"{os.getpid()}", worker) for process, worker in where]
         assert here == [(workers == 1, f"{workers == 2}")] * 3

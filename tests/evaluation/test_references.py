@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,9 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.evaluation import reference_evaluation
 from phase_ppl.evaluation.metrics import human_accuracy, reference_models
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
-from phase_ppl.world.picture import plain
 from tests.evaluation.judged import (
     BLUE_TO_RED,
     COLLABORATIVE,
@@ -24,7 +21,6 @@ from tests.evaluation.judged import (
     make_event,
     values,
 )
-from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev
 
 SIMPLE = {
@@ -53,7 +49,6 @@ def test_what_a_file_gives_is_read_and_nothing_added() -> None:
     assert found["gnn"]["a"].answers == {"relation": "neutral"}
     assert found["gnn"]["a"].scenario is None
     assert found["green"]["c"].answers == {"goal_green": BLUE_TO_RED}
-    assert found["green"]["c"].top("goal_green", 2) == (BLUE_TO_RED, PINK_TO_BLUE)
 
 
 def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:
@@ -126,29 +121,6 @@ def test_models_that_predict_other_events_are_measured_on_theirs() -> None:
     assert found["one"]["human"]["split_half_r"] != found["two"]["human"]["split_half_r"]
 
 
-# --- as an evaluation --------------------------------------------------------------------------
-
-RIVAL = {"goals": {"red agent": RED_TO_RED, "green agent": GREEN_TO_RED}, "relation": "friendly"}
-EVENTS = [
-    dataclasses.replace(event, predictions={"rival": RIVAL} if event.id != "b" else None)
-    for event in several(3)
-]
-
-
-def test_it_is_scored_and_compared_as_any_other_evaluation() -> None:
-    found = reference_evaluation(EVENTS, "rival")
-    assert found.name == "rival"
-    assert values(found.metrics, "goal_accuracy", "relation_accuracy") == [1, 0]
-    assert list(found.predictions) == ["a", "c"]
-    assert found.failures == {"b": "the event carries no prediction of rival"}
-    assert "rival: 2 of 3 events" in str(found)
-    ran = ppl.evaluate(EVENTS, right, workers=1, progress=False)
-    assert ran.against(found)["relation_accuracy"]["value"] == 1
-    assert found.against(ran)["n_events"] == 2
-    with pytest.raises(UnknownNameError, match="'rival'"):
-        reference_evaluation(EVENTS, "rivals")
-
-
 # --- published figures -------------------------------------------------------------------------
 
 
@@ -169,12 +141,8 @@ def test_published_figures_of_the_authors_models() -> None:
     assert human["goal_r"] is simple["goal_top3_accuracy"] is None
     of_gnn = found["socialgnn_2023"]
     assert values(of_gnn, "relation_accuracy", "human.relation_r") == [pytest.approx(0.68), None]
-    assert of_gnn["confusion"] is None
     # what people agree on least bounds how well they are predicted
     assert human["log_score"]["value"] < human["log_score_people"]["value"]
-    alone = reference_evaluation(events, "simple_authors").metrics
-    for name in ("goal_accuracy", "relation_accuracy", "by_scenario"):
-        assert alone[name] == plain(simple[name])
 
 
 @needs_dev

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,6 @@ from phase_ppl.evaluation.evaluate import event_seed
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.run import Run
-from phase_ppl.models import priors
-from phase_ppl.simulator.joint import DynamicsNoise, JointSimulator
-from phase_ppl.simulator.no_physics import PathSimulator
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.identity import event_digest
 from tests.inference.toy import walkers, walking_event
@@ -108,39 +104,6 @@ LESIONS = (
     *("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight"),
     "no_social_goals",
 )
-
-
-def model(name: str, **options: Any) -> ppl.Model:
-    made: Any = ready(name, options).predict
-    found: ppl.Model = made.model
-    return found
-
-
-def test_each_lesion_is_simple_with_one_thing_changed() -> None:
-    for planner in (None, "paper"):
-        usual = model("simple", planner=planner)
-        assert isinstance(usual.planner, ppl.PlannerConfig)
-        for name, change in (
-            ("full_observation", {"full_observation": True}),
-            ("true_state", {"true_state": True}),
-            ("no_cost_weight", {"cost_weight": 0.0}),
-        ):
-            changed = dataclasses.replace(usual.planner, **change)
-            assert model(name, planner=planner) == dataclasses.replace(usual, planner=changed)
-    still = model("no_physics", planner="paper", speed=5.0).simulator
-    assert isinstance(still, PathSimulator)
-    assert (still.planner, still.speed) == (ppl.PlannerConfig(), 5.0)
-    noisy = model("noisy_physics", speed_noise=0.1).simulator
-    assert isinstance(noisy, JointSimulator)
-    assert noisy.planner == ppl.PlannerConfig.fast()
-    assert noisy.noise == DynamicsNoise(speed=0.1, direction=0.2)
-    assert model("no_social_goals").prior is priors.no_social_goals
-
-
-def test_what_a_simulator_consists_of_is_kept_with_the_run() -> None:
-    kept = ready("noisy_physics", {"direction_noise": 0.3}).record["model_settings"]["model"]
-    assert kept["simulator_settings"]["noise"] == {"speed": 0.2, "direction": 0.3}
-    assert "simulator_settings" not in ready("simple", {}).record["model_settings"]["model"]
 
 
 def test_lesions_take_the_options_of_simple_but_for_what_they_change() -> None:

@@ -83,8 +83,6 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 
 def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for options, message in (
-        ({"member": True}, "member=True"),
-        ({"member": 1}, "member=1, expected 0"),
         ({"threads": 0}, "threads=0"),
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
@@ -137,49 +135,20 @@ def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None
 
 
 @needs_torch
-def test_a_folder_is_resumed_only_by_the_same_training(data: Path, trained: Path) -> None:
-    with pytest.raises(OutputError, match="holds a training already; resume it"):
+def test_a_folder_that_holds_networks_is_left_alone(data: Path, trained: Path) -> None:
+    with pytest.raises(OutputError, match="holds networks already"):
         ppl.train_socialgnn(data, trained, seeds=2, settings=QUICK, progress=False)
-    other = TrainingSettings(epochs=4)
-    with pytest.raises(OutputError, match=r"something else: settings\.epochs is 4, was 3"):
-        ppl.train_socialgnn(data, trained, settings=other, resume=True)
     with locked(trained), pytest.raises(OutputError, match="another process is at work"):
-        ppl.train_socialgnn(data, trained, settings=QUICK, resume=True)
+        ppl.train_socialgnn(data, trained, settings=QUICK)
 
 
 @needs_torch
-def test_damaged_networks_are_trained_again(data: Path, trained: Path, tmp_path: Path) -> None:
+def test_the_command_trains_the_same_networks(
+    data: Path, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
-    shutil.copytree(trained, out)
-    (out / "members" / "0.json").write_text('{"seed": 0}')
-    (out / "members" / "1.npz").write_text("PK")
-    ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, resume=True, progress=False)
-    assert load(out).digest() == load(trained).digest()
-    report, before = (json.loads((d / "extended.json").read_text()) for d in (out, trained))
-    assert report["together"] == before["together"]
-
-
-@needs_torch
-def test_interrupted_training_keeps_what_is_finished(
-    data: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    from phase_ppl.models.socialgnn import network
-
-    fit, out = network.fit, tmp_path / "out"
-
-    def stops(*given: Any) -> Any:
-        if given[3] == 1:
-            raise KeyboardInterrupt
-        return fit(*given)
-
-    monkeypatch.setattr(network, "fit", stops)
-    command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2",
-               "--option", "epochs=3", "--quiet"]  # fmt: skip
-    assert main(command) == 130
-    assert "--resume" in capsys.readouterr().err
-    monkeypatch.undo()
-    assert main([*command, "--resume"]) == 0
+    command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2"]
+    assert main([*command, "--option", "epochs=3", "--quiet"]) == 0
     printed = capsys.readouterr().out
     assert "seed 1" in printed
     assert f"--weights {out}" in printed
@@ -189,9 +158,9 @@ def test_interrupted_training_keeps_what_is_finished(
 @needs_torch
 def test_what_was_trained_is_asked_by_its_folder(trained: Path, tmp_path: Path) -> None:
     found = ppl.evaluate(
-        [walk(0, 1, 2)], "socialgnn", weights=trained, member=1, out=tmp_path, progress=False
+        [walk(0, 1, 2)], "socialgnn", weights=trained, out=tmp_path, progress=False
     )
-    assert found.settings["model_settings"]["networks"] == 1
+    assert found.settings["model_settings"]["networks"] == 2
     assert len(found.predictions["0-1-2-False"].probabilities) == 3
     model = socialgnn(weights=trained)
     event = walk(1, 2)
@@ -213,18 +182,3 @@ def test_what_is_no_set_to_learn_from_is_refused(data: Path, tmp_path: Path) -> 
     ):
         with pytest.raises(InvalidEventError, match=message):
             ppl.train_socialgnn(folder, tmp_path / "out")
-
-
-@needs_torch
-def test_wrong_options_of_the_command_are_refused(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["train", "socialgnn", "--data", str(data), "--out", str(tmp_path / "out")]
-    assert main([*command, "--option", "epochs=3", "--option", "epochs=4"]) == 2
-    assert "--option epochs: given twice" in capsys.readouterr().err
-    for option, message in (
-        ("epoch=3", "unknown option 'epoch'; did you mean 'epochs'"),
-        ("decay=2", "decay=2, expected a number from 0 to 1"),
-    ):
-        assert main([*command, "--option", option]) == 2
-        assert message in capsys.readouterr().err

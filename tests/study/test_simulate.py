@@ -102,7 +102,7 @@ def test_a_rehearsal_stays_marked_in_all_that_is_made_of_it(
     page = ppl.report(tmp_path / "compared").read_text("utf-8")
     assert page.count(words) >= 2
     assert "scripted people" in page
-    for figure in (ppl.figures.accuracy(compared), ppl.figures.scatter_relations(compared)):
+    for figure in (ppl.figures.accuracy(compared), ppl.figures.people(compared)):
         assert words in " ".join(figure.get_supxlabel().split())
 
 

@@ -9,30 +9,21 @@ a figure, it raises :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawErr
 # pages show the figures in the order of these imports
 # isort: off
 from phase_ppl.evaluation.figures.frame import DRAWINGS, draw_figures
-from phase_ppl.evaluation.figures.rows import accuracy, correlation, equivalence
-from phase_ppl.evaluation.figures.grids import confusion, costs, differences, film_strips
-from phase_ppl.evaluation.figures.grids import scatter_goals, scatter_relations
-from phase_ppl.evaluation.figures.doubt import people
-from phase_ppl.evaluation.figures.moments import by_moment, over_time
-from phase_ppl.evaluation.figures.experiments import likeness, tags
+from phase_ppl.evaluation.figures.rows import accuracy, correlation, confusion
+from phase_ppl.evaluation.figures.people import likeness, over_time, people
+from phase_ppl.evaluation.figures.people import scatter_goals, tags
 # isort: on
 
 __all__ = [
     "DRAWINGS",
     "accuracy",
-    "by_moment",
     "confusion",
     "correlation",
-    "costs",
-    "differences",
     "draw_figures",
-    "equivalence",
-    "film_strips",
     "likeness",
     "over_time",
     "people",
     "scatter_goals",
-    "scatter_relations",
     "tags",
 ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
@@ -20,7 +20,6 @@ from phase_ppl.world.files import writable_folder
 from phase_ppl.world.picture import SCENARIO_COLOURS
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PathLike: TypeAlias = str | os.PathLike[str]
@@ -47,8 +46,6 @@ class Drawing(NamedTuple):
     title: str  # its content, in a few words
     alt: str  # alternative text for people who cannot see it
     draw: Callable[..., Figure]  # draws results, and writes the figure to a path
-    compares: bool  # whether it needs a comparison of models
-    of_moments: bool  # whether it needs judgments at moments of a film
 
 
 DRAWINGS: Final[dict[str, Drawing]] = {}
@@ -57,12 +54,11 @@ DRAWINGS: Final[dict[str, Drawing]] = {}
 _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
-def drawing(
-    title: str, alt: str, *, compares: bool = False, of_moments: bool = False
-) -> Callable[[_Draw], _Draw]:
-    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`.
+def drawing(title: str) -> Callable[[_Draw], _Draw]:
+    """Return a decorator: draw in the common style, write, and register in :data:`DRAWINGS`.
 
-    Figures of a rehearsal say so.
+    The first line of the function's documentation is the alternative text. Figures of a rehearsal
+    say so.
     """
 
     def keep(draw: _Draw) -> _Draw:
@@ -75,7 +71,8 @@ def drawing(
             return written(figure, path)
 
         styled: Any = in_style(marked)
-        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares, of_moments)
+        alt = str(draw.__doc__).partition("\n")[0]
+        DRAWINGS[draw.__name__] = Drawing(title, alt, styled)
         return styled
 
     return keep
@@ -87,14 +84,6 @@ def opened(source: Source) -> Results:
         return source
     comparison = (Path(source) / COMPARISON).is_file()
     return (ModelComparison if comparison else Evaluation).load(source)
-
-
-def compared(source: Source) -> ModelComparison:
-    """Open a comparison of models; NothingToDrawError: the results are of an evaluation."""
-    found = opened(source)
-    if not isinstance(found, ModelComparison):
-        raise NothingToDrawError("the results are of an evaluation, not of a comparison of models")
-    return found
 
 
 def scenarios_of(results: Results) -> dict[str, str]:
@@ -122,15 +111,6 @@ def width_of(shown: Iterable[AnswerSet]) -> float:
     return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
 
 
-def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
-    """Write the names of the rows on the left, in their colours."""
-    labels = [answers.label for answers in shown]
-    axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
-    axes.tick_params(axis="y", length=0)
-    for text, answers in zip(axes.get_yticklabels(), shown, strict=True):
-        text.set_color(answers.colour)
-
-
 def in_words(counts: Iterable[int]) -> str:
     """Return counts, such as models' numbers of events, as text: "n = 9 to 10"."""
     known = sorted(counts)
@@ -149,10 +129,8 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
     """
     results = opened(source)
     target = writable_folder(folder / FOLDER)
-    files, drawings = [], drawings_of(results)
-    for name in DRAWINGS.keys() - drawings.keys():  # of earlier results
-        (target / f"{name}.png").unlink(missing_ok=True)
-    for name, drawing in drawings.items():
+    files = []
+    for name, drawing in DRAWINGS.items():
         file = target / f"{name}.png"
         try:
             drawing.draw(results, file)
@@ -163,14 +141,3 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
         else:
             files.append(file)
     return files
-
-
-def drawings_of(results: Results) -> dict[str, Drawing]:
-    """Return the drawings for results of this kind."""
-    compares = isinstance(results, ModelComparison)
-    moments = any(one.metrics.get("moments") for one in results.measured)
-    return {
-        name: one
-        for name, one in DRAWINGS.items()
-        if (compares or not one.compares) and (moments or not one.of_moments)
-    }

@@ -1,22 +1,26 @@
-"""Figures with a row for each model: right answers, and agreement with people."""
+"""Figures of who is right: a row for each model, and which scenario is taken for which."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, new_figure, titled, written
+import numpy as np
+import pandas as pd
+
+from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, SMALL, new_figure, titled
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.figures.frame import (
     KIND_TITLES,
     NothingToDrawError,
     PathLike,
     Source,
-    compared,
     drawing,
+    fitting,
     in_words,
-    name_rows,
     opened,
+    scenarios_of,
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
@@ -29,15 +33,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Row = dict[str, Any]  # value, ends of its interval, and further fields
-_Blocks = Mapping[str, Mapping[str, Mapping[AnswerSet, "_Row | None"]]]
+_Rows = Mapping[AnswerSet, "_Row | None"]
+
+_DARK: Final = 0.65  # least share of a row at which its number is white
 
 
-@drawing(
-    "Accuracy by scenario, or by agent and pair",
-    "Bars: share of right goals and relations of everybody, over all events and by true "
-    "scenario, in other worlds than PHASE by agent and pair, with 95 % intervals; the numbers "
-    "are in the tables above.",
-)
+@drawing("Accuracy by scenario, or by agent and pair")
 def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
@@ -62,12 +63,11 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
             }
             for path in ((), *(parts if len(parts) > 1 else ()))  # a single part equals the whole
         }
-    figure = _panels(
+    return _panels(
         blocks, (1.2, 0.185), _bars, "no truth is known of an event that somebody judged",
         "Share of right answers (people: mean share of people who are right) with 95 % intervals "
         "over events; n: answers.",
     )  # fmt: skip
-    return written(figure, path)
 
 
 def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, str], int]:
@@ -79,68 +79,61 @@ def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, st
     return of_parts | {(kind, "all"): int((known["kind"] == kind).sum()) for kind in KIND_TITLES}
 
 
-@drawing(
-    "Models beside people",
-    "Points with intervals: right answers of models minus those of people, beside the margin "
-    "of equivalence; the numbers are in the table.",
-    compares=True,
-)
-def equivalence(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' accuracy minus people's, with the margin of equivalence.
+_CORRELATIONS: Final = {
+    "Goals": ("goal_r", "goal_split_half_r"),
+    "Relations": ("relation_r", "split_half_r"),
+    "given the truth": ("relation_r_given_truth", ""),
+}
+"""Title -> correlation with people, and people's correlation with each other."""
+
+
+@drawing("Correlation with people")
+def correlation(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw how well models, and people among themselves, correlate with people's answers.
 
     Raises:
-        NothingToDrawError: people judged no event with truth, or it is no comparison of models.
+        NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    comparison = compared(source)
+    models = [o for o in opened(source).measured if o.kind != "people"]
     found = {
-        (r["model"], r["measure"], r["scenario"]): {**r, "n": r["n_events"]}
-        for r in comparison.equivalence
+        title: {o: at(o.metrics, ("human", name)) for o in models}
+        for title, (name, _) in _CORRELATIONS.items()
     }
-    ends = [r[k] for r in found.values() for k in ("value", "ci_low", "ci_high")]
-    reach = max(0.5, *(abs(end) for end in ends if end is not None), 0)
-    parts = [None, *(name for name in SCENARIOS if any(name == part for *_, part in found))]
-    blocks: dict[str, Any] = {}
-    for kind, title in KIND_TITLES.items():
-        name = f"{kind}_accuracy"
-        shown = [o for o in comparison.answers if (o.name, name, None) in found]
-        blocks[title] = {
-            part or "all": {o: found.get((o.name, name, part)) for o in shown} for part in parts
-        }
+    found = {title: rows for title, rows in found.items() if any(rows.values())}
+    shown = [o for o in models if any(rows[o] for rows in found.values())]
+    parts: dict[str, dict[AnswerSet, _Row | None]] = {
+        title: {o: rows[o] and {**rows[o], "n": o.metrics["n_events"]} for o in shown}
+        for title, rows in found.items()
+    }
 
-    def draw(axes: Axes, rows: Mapping[AnswerSet, _Row | None]) -> None:
-        margin = comparison.settings["margin"]
-        axes.axvspan(-margin, margin, color="#dfe7dc", lw=0)
-        axes.axvline(0, color="#8a8a8a", lw=0.8)
-        for place, (answers, row) in enumerate(rows.items()):
-            if row is None:
-                continue
-            for low, high, width in (("ci_low", "ci_high", 0.9), ("low", "high", 2.4)):
-                if row[low] is not None:
-                    axes.hlines(place, row[low], row[high], answers.colour, lw=width)
-            face = answers.colour if "equivalent" in row["verdict"] else "white"
-            axes.plot(row["value"], place, "o", ms=5, mec=answers.colour, mew=1.2, mfc=face)
-        axes.set(xlim=(-reach * 1.05, reach * 1.05), xticks=[-0.5, 0, 0.5])
+    def draw(axes: Axes, part: str, rows: _Rows) -> None:
+        _bars(axes, part, rows)
+        halves = _CORRELATIONS[part][1]
+        among = next(filter(None, (at(o.metrics, ("human", halves)) for o in shown)), None)
+        if among is not None:  # split-half correlation of people, a line with its interval
+            if among["ci_low"] is not None:
+                axes.axvspan(among["ci_low"], among["ci_high"], color=INK, alpha=0.13, lw=0)
+            axes.axvline(among["value"], color=INK, lw=1.1, ls=(0, (4, 2)))
 
-    figure = _panels(
-        blocks, (1.4, 0.21), draw, "people judged no event whose truth is known",
-        "Share right, model minus people, event by event. Thin: 95 %, thick: 90 % intervals. "
-        "Band: margin of equivalence. Filled: equivalence is shown, after Holm's correction.",
+    return _panels(
+        {"r with people": parts} if parts else {}, (1.6, 0.21), draw,
+        "people judged nothing that a model gives probabilities for",
+        "Pearson's r with 95 % intervals over events. Dashed: r of halves of the people.",
     )  # fmt: skip
-    return written(figure, path)
 
 
 def _panels(
-    blocks: _Blocks,
+    blocks: Mapping[str, Mapping[str, _Rows]],
     cell: tuple[float, float],
-    draw: Callable[[Axes, Mapping[AnswerSet, _Row | None]], object],
+    draw: Callable[[Axes, str, _Rows], object],
     nothing: str,
     note: str,
 ) -> Figure:
     """Draw kinds of questions below each other, a column for each part of the answers.
 
-    ``blocks`` are title -> part -> whose -> row; ``draw`` draws the rows. ``n`` in a row counts its
-    events or answers. Kinds without rows are left out; without any, ``nothing`` is the error's
-    text. ``cell`` are the inches of a column and of a row.
+    ``blocks`` are title -> part -> whose -> row; ``draw`` draws the rows of a part. ``n`` in a row
+    counts its events or answers. Kinds without rows are left out; without any, ``nothing`` is the
+    error's text. ``cell`` are the inches of a column and of a row.
     """
     blocks = {kind: parts for kind, parts in blocks.items() if any(parts.values())}
     if not blocks:
@@ -155,14 +148,14 @@ def _panels(
         for axes in line[len(parts) :]:
             axes.set_visible(False)
         for axes, (part, rows) in zip(line, parts.items(), strict=False):
-            draw(axes, rows)
+            draw(axes, part, rows)
             counts = [row["n"] for row in rows.values() if row is not None and row["n"]]
             axes.set(ylim=(len(rows) - 0.5, -0.5), yticks=[])
             axes.spines["left"].set_visible(False)
             axes.xaxis.set_major_formatter("{x:g}")
             titled(axes, part, in_words(counts or [0]), fontsize=NORMAL)
             axes.set_visible(bool(counts))
-        name_rows(line[0], names[kind])
+        _name_rows(line[0], names[kind])
         line[0].annotate(
             kind, (0, 1), (-6, 15), xycoords="axes fraction",
             textcoords="offset points", ha="right", fontsize=NORMAL + 1, fontweight="bold",
@@ -171,8 +164,19 @@ def _panels(
     return figure
 
 
-def _bars(axes: Axes, rows: Mapping[AnswerSet, _Row | None], low: float = 0.0) -> None:
-    """Draw measures as bars with intervals from ``low`` to 1, and as numbers to the right."""
+def _name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
+    """Write the names of the rows on the left, in their colours."""
+    labels = [answers.label for answers in shown]
+    axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
+    axes.tick_params(axis="y", length=0)
+    for text, answers in zip(axes.get_yticklabels(), shown, strict=True):
+        text.set_color(answers.colour)
+
+
+def _bars(axes: Axes, part: str, rows: _Rows) -> None:
+    """Draw measures as bars up to 1 with intervals, and as numbers to the right."""
+    ends = [row[k] for row in rows.values() if row for k in ("value", "ci_low") if row.get(k)]
+    low = max(-1.0, 1.05 * min([0.0, *ends]))
     for place, (answers, row) in enumerate(rows.items()):
         if row is None or row["value"] is None:
             axes.text(0.01, place, number(None), va="center", color=GREY)
@@ -189,49 +193,60 @@ def _bars(axes: Axes, rows: Mapping[AnswerSet, _Row | None], low: float = 0.0) -
     axes.grid(axis="x")
 
 
-_CORRELATIONS: Final = {
-    "goal_r": ("Goals", "goal_split_half_r"),
-    "relation_r": ("Relations", "split_half_r"),
-    "relation_r_given_truth": ("Relations, given the truth", ""),
-}
-"""Correlation with people -> title, and people's correlation with each other."""
+@drawing("Which scenario is taken for which")
+def confusion(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw confusion matrices: true scenario against the scenario of the goals answered.
 
-
-@drawing(
-    "Correlation with people",
-    "Bars: correlation of each model with people; the numbers are in the table.",
-)
-def correlation(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw how well models, and people among themselves, correlate with people's answers.
+    Cells hold numbers of events, shades are shares of their row.
 
     Raises:
-        NothingToDrawError: nobody judged what a model gives probabilities for.
+        NothingToDrawError: nobody answered both goals of an event with known scenario. Only PHASE
+            has scenarios.
     """
-    models = [o for o in opened(source).measured if o.kind != "people"]
-    found = {n: {o: at(o.metrics, ("human", n)) for o in models} for n in _CORRELATIONS}
-    found = {name: rows for name, rows in found.items() if any(rows.values())}
-    if not found:
-        raise NothingToDrawError("people judged nothing that a model gives probabilities for")
-    shown = [o for o in models if any(rows[o] for rows in found.values())]
-    figure = new_figure(width_of(shown) + 1.95 * len(found), 0.21 * len(shown) + 0.95)
-    grid = figure.subplots(1, len(found), squeeze=False)[0]
-    for axes, (name, rows) in zip(grid, found.items(), strict=True):
-        ends = [row[k] for row in rows.values() if row for k in ("value", "ci_low") if row[k]]
-        _bars(axes, {o: rows[o] for o in shown}, max(-1.0, 1.05 * min([0.0, *ends])))
-        axes.set(ylim=(len(shown) - 0.5, -0.5), yticks=[], xlabel="r with people")
-        axes.spines["left"].set_visible(False)
-        axes.xaxis.set_major_formatter("{x:g}")
-        title, halves = _CORRELATIONS[name]
-        axes.set_title(title, pad=15, fontsize=NORMAL, fontweight="bold")
-        among = next(filter(None, (at(o.metrics, ("human", halves)) for o in shown)), None)
-        if among is not None:  # split-half correlation of people, a line with its interval
-            if among["ci_low"] is not None:
-                axes.axvspan(among["ci_low"], among["ci_high"], color=INK, alpha=0.13, lw=0)
-            axes.axvline(among["value"], color=INK, lw=1.1, ls=(0, (4, 2)))
-            axes.annotate(
-                f"people, split half: {among['value']:.2f}", (among["value"], 1), (0, 3),
-                xycoords=axes.get_xaxis_transform(), textcoords="offset points",
-                ha="right" if among["value"] > 0.5 else "left", annotation_clip=False,
+    results = opened(source)
+    true = scenarios_of(results)
+    shown: dict[AnswerSet, np.ndarray] = {}
+    for o in results.measured:
+        pairs = [(true[e], p.scenario) for e, p in o.predictions.items() if e in true]
+        told = pd.DataFrame(pairs, columns=["true", "answered"]).dropna()
+        counts = pd.crosstab(told["true"], told["answered"])
+        shown[o] = counts.reindex(SCENARIOS, columns=SCENARIOS, fill_value=0).to_numpy(int)
+    shown = {o: counts for o, counts in shown.items() if counts.any()}
+    if not shown:
+        raise NothingToDrawError(
+            "nobody answered the goals of an event of the world PHASE whose scenario is known"
+        )
+    n_columns = min(len(shown), 3 if len(shown) <= 6 else 4)
+    n_rows = -(-len(shown) // n_columns)
+    note = "numbers: events; shade: share of the row"
+    figure = new_figure(1.4 + 1.75 * n_columns, 1.15 + 1.85 * n_rows, note=note)
+    figure.suptitle("scenario of the goals answered", fontsize=NORMAL)
+    figure.supylabel("true scenario", fontsize=NORMAL)
+    grid = figure.subplots(n_rows, n_columns, squeeze=False)
+    events = np.sum([*shown.values()], axis=2).T
+    labels = [f"{name}\n{in_words(row)}" for name, row in zip(SCENARIOS, events, strict=True)]
+    ticks = range(len(SCENARIOS))
+    slanted: dict[str, Any] = {"rotation": 40, "ha": "left", "rotation_mode": "anchor"}
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    for place, (answers, counts) in enumerate(shown.items()):
+        row, column = divmod(place, n_columns)
+        axes = grid[row, column]
+        shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        axes.imshow(shares, cmap="Blues", vmin=0, vmax=1.15, aspect="auto")
+        for (i, j), n in np.ndenumerate(counts):
+            axes.text(
+                j, i, str(n) if n else "\N{MIDDLE DOT}", ha="center", va="center", fontsize=NORMAL,
+                color="white" if shares[i, j] > _DARK else INK,
+                fontweight=("normal", "bold")[i == j],
             )  # fmt: skip
-    name_rows(grid[0], shown)
-    return written(figure, path)
+        axes.spines[:].set_visible(False)
+        axes.tick_params(length=0, labelsize=SMALL, pad=3)
+        axes.xaxis.tick_top()
+        axes.set_xticks(ticks, SCENARIOS if row == 0 else [], **slanted)
+        axes.set_yticks(ticks, labels if column == 0 else [])
+        name = f"{answers.label}, majority" if answers.kind == "people" else answers.label
+        axes.set_title(
+            textwrap.fill(name, 20), fontsize=NORMAL, color=answers.colour, fontweight="bold"
+        )
+    return figure

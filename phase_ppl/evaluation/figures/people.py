@@ -1,0 +1,383 @@
+"""Figures of people: models against their shares and over time, their labels and ratings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+
+from phase_ppl.analysis.figures.style import (
+    COLOURS,
+    GREY,
+    INK,
+    NORMAL,
+    SMALL,
+    in_style,
+    new_figure,
+    titled,
+    warned,
+    written,
+)
+from phase_ppl.evaluation.cells import measure_text, number
+from phase_ppl.evaluation.doubt import label_places, rows_of
+from phase_ppl.evaluation.experiments import (
+    MARGIN,
+    RATINGS,
+    Likeness,
+    Tags,
+    load_likeness,
+    load_tags,
+)
+from phase_ppl.evaluation.figures.frame import (
+    NothingToDrawError,
+    PathLike,
+    Source,
+    drawing,
+    fitting,
+    opened,
+    scenario_colour,
+    scenarios_of,
+    width_of,
+)
+from phase_ppl.evaluation.metrics import at as metric_at
+from phase_ppl.evaluation.prediction import pairs_of, questions_of
+from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
+from phase_ppl.evaluation.table import PEOPLE_COLOUR, Answers, AnswerSet, responses_of, titles_of
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import SCENARIOS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+# --- probabilities against shares
+
+
+@drawing("Goals: models against people")
+def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw models' probabilities of goals against people's.
+
+    Raises:
+        NothingToDrawError: nobody judged what a model gives probabilities for.
+    """
+    results = opened(source)
+    scenarios = scenarios_of(results)
+    clouds: dict[AnswerSet, pd.DataFrame] = {}
+    for o in results.measured:
+        rows = Answers.of(results.events, o.predictions).whole
+        rows = rows[rows["kind"] == "goal"].dropna(subset=["people", "probability"])
+        if o.kind != "people" and len(rows):
+            clouds[o] = rows.assign(scenario=[scenarios.get(event, "") for event in rows["event"]])
+    if not clouds:
+        raise NothingToDrawError("people judged no goal that a model gives probabilities for")
+    present = {name for rows in clouds.values() for name in rows["scenario"]}
+    columns = [name for name in (*SCENARIOS, "") if name in present]
+    figure = new_figure(
+        width_of(clouds) + 0.3 + 1.4 * max(len(columns), 2),
+        1.0 + 1.4 * len(clouds),
+        note="Probabilities of the agents' goals; n: events.",
+    )
+    grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
+    for line, (answers, rows) in zip(grid, clouds.items(), strict=True):
+        for axes, name in zip(line, columns, strict=True):
+            axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
+            axes.scatter(
+                "people", "probability", s=9, alpha=0.4, lw=0, color=scenario_colour(name),
+                clip_on=False, data=rows[rows["scenario"] == name],
+            )  # fmt: skip
+            axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+        r = metric_at(answers.metrics, ("human", "goal_r"))
+        label = answers.label if r is None else f"{answers.label}\nr = {number(r['value'])}"
+        line[0].set_ylabel(
+            label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
+            color=answers.colour,
+        )  # fmt: skip
+    judged = next(o.predictions for o in results.measured if o.kind == "people")
+    for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
+        n = sum(scenarios.get(event, "") == name for event in judged)
+        style = {"color": scenario_colour(name), "fontweight": "bold"}
+        title = name or ("scenario not known" if scenarios else "all events")
+        titled(top, title, f"n = {n}", fontsize=NORMAL, **style)
+        bottom.set_xlabel("people", fontsize=SMALL)
+    return figure
+
+
+# --- doubt
+
+_MARKS: Final = ("o", "s", "^")  # of the relations
+_MODELS: Final = 6  # that are drawn
+_PARTS: Final = ("relation_r", "relation_r_given_truth")
+
+
+@drawing("Doubt: models against people")
+def people(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw models' probabilities of relations against people's shares.
+
+    Each model has a row of two panels. The first shows probabilities against shares, the second
+    the same minus the mean over events of the same true relation. Above them is r with its
+    interval.
+
+    Raises:
+        NothingToDrawError: nobody judged relations to which a model gives probabilities.
+    """
+    results = opened(source)
+    shown = [o for o in results.measured if o.kind != "people" and o.metrics.get("doubt")][:_MODELS]
+    if not shown:
+        raise NothingToDrawError(
+            "nobody judged the relation of two agents to which a model gives probabilities"
+        )
+    figure = new_figure(
+        *(5.4, 0.7 + 2.3 * len(shown)),
+        note="Marks: an answer to a video, circles friendly, squares neutral, triangles "
+        "adversarial; colours: true scenario, green collaborative, blue independent, ochre "
+        "competing, red opposing. Given the truth: less the mean of the videos with the same true "
+        "relation. In brackets: 95 % intervals.",
+    )
+    grid = figure.subplots(len(shown), 2, squeeze=False)
+    scenarios = scenarios_of(results)
+    for (left, right), answers in zip(grid, shown, strict=True):
+        events = [event for event in results.events if event.id in answers.predictions]
+        said = Answers.of(events, answers.predictions)
+        columns = ("probability", "people", "truth")
+        p, shares, true = (said.array("relation", name)[:, 0] for name in columns)
+        colours = np.array([scenario_colour(scenarios.get(e.id, "")) for e in events])
+        both, truth = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0]), label_places(true)
+        _doubts(left, p[both], shares[both], colours[both], (0.0, 1.0))
+        left.set_ylabel("people")
+        p, shares = p.copy(), shares.copy()
+        for group in np.unique(truth[both]):
+            chosen = both & (truth == group)
+            for values in (p, shares):
+                values[chosen] -= values[chosen].mean(axis=0)
+        known = both & (truth >= 0)
+        _doubts(right, p[known], shares[known], colours[known], (-1.0, 1.0))
+        r, given_truth = (measure_text(answers.metrics["doubt"][name]) for name in _PARTS)
+        style: dict[str, Any] = {"color": answers.colour, "fontweight": "bold"}
+        titled(left, answers.label, f"r = {r}", fontsize=fitting([answers.label], 2.0), **style)
+        titled(right, "given the truth", f"r = {given_truth}", fontsize=NORMAL, color=GREY)
+    for axes in grid[-1]:
+        axes.set_xlabel("model")
+    return figure
+
+
+def _doubts(
+    axes: Axes, x: FloatArray, y: FloatArray, colours: np.ndarray, ends: tuple[float, float]
+) -> None:
+    axes.plot(ends, ends, color="#bbbbbb", lw=0.7, zorder=0)
+    style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
+    for answer, mark in enumerate(_MARKS):
+        axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
+    ticks = sorted({*ends, 0.0})
+    axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)
+    axes.set_aspect("equal", adjustable="box")
+
+
+# --- at moments of a film
+
+_EVENTS: Final = 4  # events that are drawn over time
+_COLUMNS: Final = 5  # answers that are
+_DRAWN: Final = 1000  # resamples of the people
+_TICKS: Final = 5  # moments that the axis names
+_NOTHING: Final = "nobody judged at a moment of a film"
+
+
+def _models(source: Source) -> tuple[list[Event], list[AnswerSet]]:
+    """Return the events that people judged at moments, and models' answers at these."""
+    results = opened(source)
+    models = [
+        one for one in results.measured if one.kind != "people" and one.metrics.get("moments")
+    ]
+    judged = Answers.of(results.events, {}).rows.dropna(subset="at")["event"].unique()
+    if not len(judged) or not models:
+        raise NothingToDrawError(_NOTHING)
+    return [event for event in results.events if event.id in set(judged)], models
+
+
+@drawing("People and models over time")
+def over_time(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw people and models over the film, for up to four events and five answers each.
+
+    The answers are the relations of two agents, and of every other question the one that people
+    gave most. Bars are 95 % intervals of people's mean, over resampled people.
+
+    Raises:
+        NothingToDrawError: nobody judged at a moment of a film.
+    """
+    events, models = _models(source)
+    shown = events[:_EVENTS]
+    some = f"{len(shown)} of {len(events)} events. " if len(shown) < len(events) else ""
+    tables = {one: Answers.of(shown, one.predictions).rows.dropna(subset="at") for one in models}
+    people = next(iter(tables.values()))
+    chosen = {event.id: _asked(people[people["event"] == event.id], event) for event in shown}
+    n_columns = max(map(len, chosen.values()))
+    figure = new_figure(
+        0.7 + 1.75 * n_columns, 0.6 + 1.5 * len(shown),
+        note=f"{some}Share or probability of the answer, given the film until then [s]. Black: "
+        "people, with the 95 % interval of their mean; coloured: models.",
+    )  # fmt: skip
+    grid = figure.subplots(len(shown), n_columns, squeeze=False, sharey=True)
+    drawn = set()
+    for event, line in zip(shown, grid, strict=True):
+        for axes in line[len(chosen[event.id]) :]:
+            axes.set_visible(False)
+        for axes, (question, label) in zip(line, chosen[event.id], strict=False):
+            for one, table in tables.items():
+                keys = ("event", event.id), ("question", question), ("label", label)
+                rows = table[np.all([table[name] == value for name, value in keys], axis=0)]
+                if one is models[0]:
+                    at, share, within = _of_people(event, rows, question, label)
+                    _line(axes, at, share, within, PEOPLE_COLOUR)
+                rows = rows.dropna(subset="probability")
+                if len(rows):
+                    _line(axes, rows["at"], rows["probability"], None, one.colour)
+                    drawn.add(one)
+            axes.set(ylim=(-0.02, 1.02), yticks=[0, 1])
+            _timed(axes, people.loc[people["event"] == event.id, "at"])
+            words = titles_of(event.scene.world)[question]
+            titled(axes, "", words, fontsize=NORMAL)
+            axes.set_title(label, pad=15, fontsize=fitting([label], 1.6), fontweight="bold")
+        line[0].set_ylabel(event.id, fontsize=fitting([event.id], 1.2))
+    _named(figure, [one for one in models if one in drawn])
+    return figure
+
+
+def _asked(rows: pd.DataFrame, event: Event) -> list[tuple[str, str]]:
+    """Return the questions and answers that are drawn of an event."""
+    pairs, found = pairs_of(event.scene.world), []
+    for question, labels in questions_of(event.scene.world).items():
+        shares = rows[rows["question"] == question].groupby("label", sort=False)["people"].mean()
+        if shares.notna().any():
+            several = question in pairs and len(pairs) == 1
+            found += [(question, one) for one in (labels if several else [shares.idxmax()])]
+    return sorted(found, key=lambda one: one[0] not in pairs)[:_COLUMNS]
+
+
+def _of_people(
+    event: Event, rows: pd.DataFrame, question: str, label: str
+) -> tuple[list[float], FloatArray, FloatArray]:
+    """Return moments, people's mean share of an answer, and its interval (low and high, moment)."""
+    known = rows.dropna(subset="people")
+    within = []
+    labels = questions_of(event.scene.world)[question]
+    for at in known["at"]:
+        given = responses_of([event], at)
+        ((_, answers),) = rows_of(given, [event.id], [question], labels).given.values()
+        shares = answers[:, labels.index(label)]
+        times = np.random.default_rng(0).multinomial(
+            len(shares), np.full(len(shares), 1 / len(shares)), size=_DRAWN
+        )
+        within.append(np.quantile(times @ shares / len(shares), [0.025, 0.975]))
+    return known["at"].tolist(), known["people"].to_numpy(), np.array(within).T
+
+
+def _line(
+    axes: Axes,
+    at: ArrayLike,
+    value: ArrayLike,
+    within: FloatArray | None,
+    colour: str,
+    **style: Any,
+) -> None:
+    """Draw a line with a mark for each moment, and its intervals (low and high, moment)."""
+    axes.plot(at, value, color=colour, marker="o", ms=3, **{"lw": 1.4, **style})
+    if within is not None:
+        axes.vlines(at, *within, lw=1.4, color=colour, alpha=0.5)
+
+
+def _timed(axes: Axes, moments: Iterable[float]) -> None:
+    """Let the horizontal axis begin with the film, with ticks at the moments where they are few."""
+    ticks = np.unique(list(moments))
+    axes.set_xlim(0, (1.08 if len(ticks) > 1 else 1.5) * max(ticks[-1], 0.1))
+    if len(ticks) <= _TICKS:
+        axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
+
+
+def _named(figure: Figure, models: list[AnswerSet]) -> None:
+    """Write whose lines are which above the axes."""
+    from matplotlib.lines import Line2D
+
+    figure.legend(
+        [Line2D([], [], color=one.colour, lw=1.8) for one in models],
+        [one.label for one in models],
+        loc="outside upper right", ncols=len(models), frameon=False,
+    )  # fmt: skip
+
+
+# --- labels and ratings of videos (:mod:`phase_ppl.evaluation.experiments`)
+
+
+def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
+    if table["participant"].str.startswith(Judgments.SCRIPTED).any():
+        warned(figure, REHEARSAL)
+
+
+@in_style
+def tags(source: Tags | PathLike, path: PathLike | None = None) -> Figure:
+    """Draw the share of videos in each category, as the paper does for its 23 labels.
+
+    Labels are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). A video
+    has a category if at least half of its viewers chose the label.
+
+    Raises:
+        InvalidEventError: the file holds no labels; the message names file and line.
+    """
+    given = source if isinstance(source, Tags) else load_tags(source)
+    found = given.summary()[::-1]
+    figure = new_figure(
+        *(6.4, 0.9 + 0.19 * len(found)),
+        note=f"Percentage of the {len(given.viewers)} videos for which at least half of their "
+        "viewers chose the label. Hollow: chosen by somebody, in no video by that many.",
+    )
+    axes = figure.subplots()
+    bars = axes.barh(found.index, found["percent"], 0.68, color=COLOURS[0])
+    axes.bar_label(bars, fmt="%.0f", padding=5, color=GREY)
+    for label in found.index[(found["percent"] == 0) & found["used"]]:
+        axes.plot(0, label, "o", ms=3.5, mfc="white", mec=COLOURS[0], clip_on=False, zorder=3)
+    axes.set(xlim=(0, max(10.0, 1.12 * found["percent"].max())), ylim=(-0.6, len(found) - 0.4))
+    axes.set_xlabel("videos, %")
+    axes.grid(axis="x")
+    _warn_of_scripted(figure, given.table)
+    return written(figure, path)
+
+
+@in_style
+def likeness(source: Likeness | PathLike, path: PathLike | None = None) -> Figure:
+    """Draw people's ratings of how likely the behaviour is, in two groups of videos.
+
+    Ratings are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). The note
+    has the test of equivalence.
+
+    Raises:
+        InvalidEventError: the file holds no ratings; the message names file and line.
+    """
+    given = source if isinstance(source, Likeness) else load_likeness(source)
+    test = given.equivalence()
+    told = f"Difference of participants' means: {test['difference']:.2f}"
+    if test["p"] is not None:
+        told += f" [{test['ci_low']:.2f}, {test['ci_high']:.2f}] (90 %)"
+    shown = "shown" if test["equivalent"] else "not shown"
+    figure = new_figure(
+        *(5.4, 2.9),
+        note="Left: share of each rating. Right: mean rating of each video, and mean over videos. "
+        f"{told}; equivalence within {MARGIN} is {shown} (two one-sided tests).",
+    )
+    shares, means = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
+    for index, (group, values) in enumerate(given.means("videos").items()):
+        ratings = given.table.loc[given.table["group"] == group, "rating"]
+        share = [float((ratings == rating).mean()) for rating in RATINGS]
+        places = np.array(RATINGS) + 0.4 * (index - 0.5)
+        shares.bar(places, share, width=0.38, color=COLOURS[index], label=group)
+        means.plot([index] * len(values), values, "o", ms=3, color=COLOURS[index], alpha=0.5, mew=0)
+        means.plot([index - 0.25, index + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
+    shares.set(xticks=RATINGS, xlabel="rating", ylabel="share")
+    shares.legend(loc="upper left")
+    found = given.summary()
+    labels = [f"{g}\n{r['mean']:.2f} ± {r['sd_videos']:.2f}" for g, r in found.iterrows()]
+    means.set_xticks([0, 1], labels)
+    means.set(xlim=(-0.5, 1.5), ylim=(0.9, 5.1), yticks=RATINGS)
+    _warn_of_scripted(figure, given.table)
+    return written(figure, path)

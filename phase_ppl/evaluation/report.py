@@ -1,0 +1,278 @@
+"""The page of an evaluation or a comparison of models: tables, figures, who answered what."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import io
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+import phase_ppl
+from phase_ppl.evaluation.cells import Table, metric_tables, number
+from phase_ppl.evaluation.comparison import (
+    ModelComparison,
+    difference_tables,
+    equivalence_tables,
+)
+from phase_ppl.evaluation.evaluation import COMPARISON, SETTINGS
+from phase_ppl.evaluation.figures.frame import DRAWINGS, Results, opened
+from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
+from phase_ppl.evaluation.table import (
+    PEOPLE,
+    AnswerSet,
+    label_of,
+    titles_of,
+    true_answers,
+    true_scenario,
+)
+from phase_ppl.render.frames import draw_strip
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path, check_output, write_bytes
+from phase_ppl.world.picture import plain
+from phase_ppl.world.progress import counted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    Drawn = tuple[str, str, Callable[[], Figure]]  # title, words, what draws it
+
+NAME: Final = "report.html"
+
+_WORTH_A_ROW: Final = 0.05  # probability from which on an answer is
+_PANELS: Final = 6
+_STRIP_WIDTH: Final = 1000  # pixels
+
+INTERVALS: Final = (
+    "In brackets: 95 % intervals, of right answers Clopper-Pearson for as many independent answers "
+    "as they are worth, of the rest over resampled events."
+)
+NOTHING_TO_COMPARE: Final = "There is nothing to compare with: neither truth nor judgments."
+
+
+def report(
+    folder: str | os.PathLike[str],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    progress: bool | None = None,
+) -> Path:
+    """Write one self-contained HTML page about what a folder holds; return its path.
+
+    The page holds its pictures and style, runs no script, and fetches nothing.
+
+    Args:
+        folder: of an evaluation, or of a comparison of models.
+        path: of the page, ending in .html; default ``report.html`` in the folder.
+        progress: show a bar over the events on stderr; by default if stderr is a terminal.
+
+    Raises:
+        InvalidEventError: the folder is neither, or a file in it is damaged.
+        OutputError: the page cannot be written there, or its name does not end in .html.
+    """
+    source = as_path(folder)
+    target = source / NAME if path is None else as_path(path)
+    if not source.is_dir():
+        raise InvalidEventError(f"{source}: no such folder")
+    if not any((source / name).is_file() for name in (SETTINGS, COMPARISON)):
+        raise InvalidEventError(
+            f"{source} holds neither an evaluation (it has no {SETTINGS}) nor a comparison (it has "
+            f"no {COMPARISON})"
+        )
+    check_output(target, (".html",))
+    return write_page(page_of(opened(source), progress=progress), target)
+
+
+def write_page(text: str, path: str | os.PathLike[str]) -> Path:
+    """Write a page, whole or not at all; return its path."""
+    write_bytes(path, (".html",), text.encode())
+    return Path(path)
+
+
+def page_of(
+    results: Results,
+    notes: Sequence[str] = (),
+    tables: Mapping[str, Sequence[Table]] | None = None,
+    more: Iterable[Drawn] = (),
+    *,
+    title: str = "",
+    progress: bool | None = None,
+) -> str:
+    """Return a page with all that there is of results, below further notes and tables.
+
+    ``more`` are titles, words and functions that draw figures of something else.
+    """
+    models = {one.name: one.metrics for one in results.measured}
+    people = models.pop(PEOPLE, None)
+    summary = list(metric_tables(list(models.items()), people))
+    told = [INTERVALS if summary else NOTHING_TO_COMPARE]
+    shown = {**(tables or {}), "Summary": summary}
+    if isinstance(results, ModelComparison):
+        title = title or "Comparison of models"
+        about = f"{', '.join(results.models)} on {len(results.events)} events."
+        told = [about, *(f"{note}." for note in results.notes), *told]
+        shown["Differences"] = difference_tables(results)
+        shown["Equivalence with people"] = equivalence_tables(results)
+        settings = {**results.settings, "models": {o.name: o.settings for o in results.entries}}
+    else:
+        title = f"Evaluation of {label_of(results.name)}"
+        state = f"{len(results.predictions)} of {len(results.events)} events predicted"
+        if not results.finished:
+            state += "; not finished: tables and figures are about these"
+        told = [f"{state}.", *told]
+        settings = {"failures": results.failures, **results.settings, "cost": results.cost}
+    found: list[Drawn] = [
+        (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
+    ]
+    drawn, left_out = [], []
+    for name, alt, draw in [*found, *more]:
+        try:
+            drawn.append((name, _figure(draw(), alt)))
+        except InvalidSettingError as reason:
+            left_out.append(f"{name}: {reason}.")
+    warning = f"{REHEARSAL[:1].upper()}{REHEARSAL[1:]}." if rehearsed(results.events) else ""
+    content = {
+        **{"title": title, "warning": warning, "notes": [*notes, *told], "tables": shown},
+        **{"drawn": drawn, "left_out": left_out, "version": phase_ppl.__version__},
+        "items": [
+            _item(e, results.answers) for e in counted(results.events, progress, "event", "showing")
+        ],
+        "settings": json.dumps(plain(settings), indent=1),
+    }
+    return _environment().get_template("page.html").render(content) + "\n"
+
+
+# --- an event ------------------------------------------------------------------------------------
+
+
+def _item(event: Event, everybody: Sequence[AnswerSet]) -> dict[str, Any]:
+    """Return what the page shows of an event."""
+    said = {one: one.predictions[event.id] for one in everybody if event.id in one.predictions}
+    image = draw_strip(event, min(_PANELS, event.observation.n_frames))
+    told = [true_scenario(event) or _told(event)]
+    truth = true_answers(event).items()
+    models = {one.label: given.answers for one, given in said.items() if one.kind != "people"}
+    if truth:
+        right = [label for label, given in models.items() if given and given.items() <= truth]
+        told.append(f"right in all they answered: {', '.join(right) or 'nobody'}")
+    if all(one.kind != "model" for one in said):
+        told.append("no prediction")
+    return {
+        "id": event.id,
+        "told": " \N{MIDDLE DOT} ".join(told),
+        "strip": _picture(image, f"Film strip of {event.id}, from first to last frame."),
+        "tables": [
+            _answers(name, said, event).rename_axis(title)
+            for name, title in titles_of(event.scene.world).items()
+            if any(name in given.answers for given in said.values())
+        ],
+    }
+
+
+def _answers(question: str, said: Mapping[AnswerSet, Prediction], event: Event) -> pd.DataFrame:
+    """Return answer x whose it is -> its probability, with the error where that is known."""
+
+    def cell(given: Prediction, label: str) -> str:
+        if question not in given.probabilities:
+            return "answer" if given.answers.get(question) == label else ""
+        value = given.estimate(question, label)
+        return number(value) + ("" if np.isnan(value.error) else f" ± {number(value.error)}")
+
+    true = true_answers(event).get(question)
+    rows = rows_of(question, list(said.values()), event)
+    return pd.DataFrame(
+        {one.label: [cell(given, label) for label in rows] for one, given in said.items()},
+        [f"{label} (true)" if label == true else label for label in rows],
+    )
+
+
+def rows_of(question: str, made: Sequence[Prediction], event: Event) -> list[str]:
+    """Return the answers worth a row: those given, the true one, those probable to somebody."""
+    labels = questions_of(event.scene.world)[question]
+    given = [one.probabilities[question] for one in made if question in one.probabilities]
+    highest = np.max([np.zeros(len(labels)), *given], axis=0)
+    asked = {true_answers(event).get(question), *(one.answers.get(question) for one in made)}
+    pairs = zip(labels, highest, strict=True)
+    return [label for label, p in pairs if p >= _WORTH_A_ROW or label in asked]
+
+
+def _told(event: Event) -> str:
+    """Return in a few words what is true of an event that has no scenario."""
+    true = true_answers(event)
+    pairs = [
+        f"{title.removeprefix('Relation of ')} {true[question]}"
+        for question, title in titles_of(event.scene.world).items()
+        if question in true and question in pairs_of(event.scene.world)
+    ]
+    return ", ".join(pairs or true.values()) or "truth not known"
+
+
+# --- made from a template (Jinja2), with their pictures and style inside -------------------------
+# Whatever it is given becomes text: it is escaped. The page's policy lets the browser fetch nothing
+# and run no script.
+
+_COLOURS: Final = 256
+"""Colours of pictures of events, flat areas and a few thin lines; fewer change those of items."""
+
+_SCREEN: Final = 104
+"""Pixels on the screen for an inch of a figure: its small print can just be read."""
+
+
+class Picture(NamedTuple):
+    """A picture as part of a page: its content as an address, and its size on the screen."""
+
+    source: str
+    alt: str
+    width: int
+    height: int
+
+
+def _picture(image: Image.Image, alt: str) -> Picture:
+    """Return a film strip."""
+    width = min(image.width, _STRIP_WIDTH)
+    small = image.resize((width, round(image.height * width / image.width)))
+    buffer = io.BytesIO()
+    small.quantize(_COLOURS).save(buffer, "PNG", optimize=True)
+    return Picture(_embedded(buffer), alt, small.width, small.height)
+
+
+def _figure(figure: Figure, alt: str) -> Picture:
+    """Return a matplotlib figure, a little larger than on paper."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=160)
+    width, height = (round(inches * _SCREEN) for inches in figure.get_size_inches())
+    return Picture(_embedded(buffer), alt, width, height)
+
+
+def _embedded(picture: io.BytesIO) -> str:
+    """Return an address that holds its content."""
+    return f"data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}"
+
+
+@functools.cache
+def _environment() -> Environment:
+    made = Environment(
+        loader=PackageLoader(__package__),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["table"] = _table
+    return made
+
+
+def _table(cells: pd.DataFrame) -> Markup:
+    """Return a table; pandas escapes its texts."""
+    with pd.option_context("display.max_colwidth", None):
+        return Markup(cells.to_html(border=0))
