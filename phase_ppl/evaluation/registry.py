@@ -188,6 +188,7 @@ def check_world(model: object, world: World) -> None:
 
 
 def is_installed(module: str) -> bool:
+    """Return whether a module is there, without importing it."""
     try:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing

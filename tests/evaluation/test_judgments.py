@@ -26,7 +26,6 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
     AWAY_FROM_RED,
-    BLUE_TO_GREEN,
     BLUE_TO_RED,
     COLLABORATIVE,
     COMPETING,
