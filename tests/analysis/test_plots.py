@@ -106,13 +106,11 @@ def report(variant: str = "extended") -> dict[str, Any]:
     return {"settings": {"variant": variant}, "data": {"events": events}, "members": members}
 
 
-def test_every_network_has_its_curves_and_the_epoch_that_was_kept(tmp_path: Path) -> None:
+def test_every_network_has_its_curves(tmp_path: Path) -> None:
     for variant, lines in (("extended", 4), ("original", 3)):
         figure = ppl.plot.training_curves(report(variant), tmp_path / "a b.png")
         drawn = [line for axes in figure.axes for line in axes.lines]
-        assert len([line for line in drawn if line.get_marker() == "None"]) == 2 * lines
-        kept = [line for line in drawn if line.get_marker() == "o"]
-        assert [tuple(line.get_xydata()[0]) for line in kept] == [(2, 0.5)] * 2 * (lines - 1)  # type: ignore[index]
+        assert len(drawn) == 2 * lines
         labels = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
         assert len(labels) == lines
         told = "2 networks, 320 training and 80 validation events"
