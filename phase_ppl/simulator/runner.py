@@ -38,7 +38,6 @@ from phase_ppl.world.errors import (
     check_name,
     positive_number,
     shown,
-    whole_number,
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
@@ -49,22 +48,10 @@ Job = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; or ends the run; or is run again."""
 
-RETRIES: Final = 3  # default number of retries under "retry"
+RETRIES: Final = 3  # how often "retry" runs a simulation again
 
 _STREAM: Final = 0xFA11
 """Keeps fresh seeds apart from other numbers drawn from the same seed."""
-
-
-def n_retries(policy: str, retries: int | None) -> int:
-    """Return the number of retries under a policy, one of ``POLICIES``."""
-    check_name("on_failure", policy, POLICIES)
-    if policy != "retry":
-        if retries is not None:
-            raise InvalidSettingError(
-                f"retries={shown(retries)} goes with on_failure='retry', not with {policy!r}"
-            )
-        return 0
-    return RETRIES if retries is None else whole_number("retries", retries)
 
 
 def fresh_seed(seed: int, attempt: int) -> int:
@@ -119,8 +106,7 @@ class Runner:
             running simulations go on after a cancel, ignored.
         on_failure: "reject": a failed simulation is a result without likelihood; "raise": the
             first failure ends the run; "retry": it is run again with a fresh seed, which follows
-            from its own, and fails only if all retries do.
-        retries: how often "retry" runs a simulation again; by default 3.
+            from its own, up to three times.
         simulation_seconds: seconds after which a simulation fails; None: no limit. One that
             hangs within a frame goes on, ignored; in our own workers until their processes end.
 
@@ -136,8 +122,8 @@ class Runner:
         stops_early: whether simulations stop at their ceilings; those of a batch do not.
 
     Raises:
-        InvalidSettingError: ``workers`` or ``retries`` is out of range, or the simulator cannot be
-            called or sent to workers.
+        InvalidSettingError: ``workers`` is out of range, or the simulator cannot be called or sent
+            to workers.
         UnknownNameError: an unknown ``on_failure``.
     """
 
@@ -150,13 +136,13 @@ class Runner:
         workers: int | None = None,
         executor: Executor | None = None,
         on_failure: str = "reject",
-        retries: int | None = None,
         simulation_seconds: float | None = None,
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
         slots = self.workers = slots_of(workers, executor)
-        self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
+        check_name("on_failure", on_failure, POLICIES)
+        self.on_failure, self.retries = on_failure, RETRIES if on_failure == "retry" else 0
         self.limit = math.inf
         if simulation_seconds is not None:
             self.limit = positive_number("simulation_seconds", simulation_seconds)

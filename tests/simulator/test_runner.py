@@ -169,8 +169,6 @@ def test_what_an_executor_loses_is_run_again_once(losses: int, failures: int) ->
         *[({"workers": n}, f"workers={n!r}, expected a w") for n in (0, 1.5)],
         *[({"simulation_seconds": s}, "simulation_seconds=") for s in (0, "5")],
         ({"on_failure": "ignore"}, "'reject', 'raise', 'retry'"),
-        ({"on_failure": "retry", "retries": 0}, "retries=0"),
-        ({"retries": 2}, "goes with on_failure='retry'"),
     ],
 )
 def test_settings_that_cannot_be_are_named(options: dict[str, Any], message: str) -> None:
@@ -326,9 +324,12 @@ def test_raise_names_hypothesis_and_seed() -> None:
             strict.run([GO, WEAK, GO], [1, 2, 3])
 
 
-def test_retried_simulations_have_the_frames_of_a_fresh_seed_under_their_own() -> None:
+def test_retried_simulations_have_the_frames_of_a_fresh_seed_under_their_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("phase_ppl.simulator.runner.RETRIES", 20)
     with (
-        runner(unlucky, workers=1, on_failure="retry", retries=20) as patient,
+        runner(unlucky, workers=1, on_failure="retry") as patient,
         runner(unlucky, workers=1) as plain,
     ):
         seen: list[SimulationResult] = []
@@ -351,7 +352,7 @@ def test_what_kills_its_worker_is_run_again_once_and_then_with_a_fresh_seed(
     tmp_path: Path,
 ) -> None:
     killer = toys.KillsItsWorker(tmp_path, times=2)
-    with runner(killer, workers=2, on_failure="retry", retries=3) as patient:
+    with runner(killer, workers=2, on_failure="retry") as patient:
         (result,) = patient.run([WEAK], [1])
     assert result.completed
     assert len(list(tmp_path.iterdir())) == 2
