@@ -53,9 +53,6 @@ TOO_SURPRISING: Final = 0.5
 DISAGREE: Final = 0.15
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
-JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
-"""Keys that :func:`judged` makes."""
-
 _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
     "fail": ("x", "#cf222e", "failed"),
     "doubt": ("!", "#9a6700", "doubt"),

@@ -187,18 +187,6 @@ def reading() -> Iterator[None]:
         raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
 
 
-def root_attribute(path: str | os.PathLike[str], name: str) -> str:
-    """Return a text attribute of the root of an HDF5 file; "": it has none."""
-    try:
-        with opened(path) as file:
-            # a list of texts could be far larger than the file
-            single = name in file.attrs and file.attrs.get_id(name).shape == ()
-            value = file.attrs[name] if single else ""
-            return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
-    except Exception:  # the reader reports what is wrong with it
-        return ""
-
-
 def _check_plain(source: str | os.PathLike[str] | BinaryIO) -> None:
     """Raise InvalidEventError unless a file is HDF5 with nothing but groups of bounded arrays.
 
