@@ -123,6 +123,11 @@ def _entries(path: PathLike) -> Entries:
 
             with in_front("is a pickle (only pickles of PHASE's authors can be read): "):
                 entries = authors.read(path)
+        elif as_path(path).is_file() and as_path(path).suffix.lower() == ".nc":
+            raise InvalidEventError(
+                "is NetCDF, the form of posteriors, which phase_ppl.load_posterior reads; events "
+                "are JSON"
+            )
         else:
             entries = events_json.read(read_document(path))
         check_ids([name for name, _ in entries])

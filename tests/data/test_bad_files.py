@@ -93,6 +93,13 @@ def test_a_file_that_is_no_event_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "holds two videos with the id 'v1'" in refused(write(tmp_path, video(), video()))
 
 
+def test_a_posterior_in_place_of_an_event_is_sent_to_its_reader(tmp_path: Path) -> None:
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    with pytest.raises(InvalidEventError, match=r"posterior.nc: is NetCDF.*load_posterior"):
+        load_event(path)
+
+
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     assert "no such file" in refused(tmp_path / "none.json")
     (tmp_path / "folder.json").mkdir()
