@@ -193,7 +193,9 @@ def stream(options: Any) -> dict[str, Any]:
     return {
         "frames": len(wall),
         "ms_by_tenth": [1e3 * float(np.median(part)) for part in tenths],
-        "cpu_ms": 1e3 * float(np.median(cpu[50:])),
+        "cpu_ms_by_tenth": [
+            1e3 * float(np.median(part)) for part in np.array_split(np.array(cpu[50:]), 10)
+        ],
         "p99_ms": 1e3 * float(np.quantile(wall[50:], 0.99)),
         "mb_by_tenth": [float(part[-1]) for part in np.array_split(np.array(memory), 10)],
     }
