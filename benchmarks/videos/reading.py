@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.frame_likelihood import (
-    gained,
-    in_hindsight,
-    log_likelihoods,
-    shift_of,
-)
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
     ActionPolicy,
     GoalFilter,
@@ -107,7 +102,6 @@ class Kept:
     Attributes:
         truth: effective goals of red and green; levels: places of their strengths.
         steps: per step (plans, log density).
-        hindsight: (step, agent, action), as of a reading.
         strengths: (step, strength of red, of green) probabilities.
         unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.FrameReading`.
     """
@@ -115,7 +109,6 @@ class Kept:
     truth: tuple[int, ...]
     levels: tuple[int, int]
     steps: list[tuple[list[list[Plans]], FloatArray]]
-    hindsight: FloatArray
     strengths: FloatArray
     unexplained: FloatArray
     log_peak: FloatArray
@@ -129,19 +122,13 @@ class Kept:
         self, policy: ActionPolicy, weight: float, planner_seeds: int | None = None
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
-        log_mass, found, told = log_prior().ravel(), [], np.zeros(N_GOALS**2)
-        for step, (plans, log_density) in enumerate(self.steps):
+        log_mass, found = log_prior().ravel(), []
+        for plans, log_density in self.steps:
             policies, pairs = policies_of(plans[:planner_seeds], policy)
             first, (every,) = log_likelihoods(log_density, policies, pairs, 1)
             (shift,) = shift_of(first, every[None], log_mass)
-            found.append(np.where(np.isnan(every), first + shift, every) + told)
+            found.append(np.where(np.isnan(every), first + shift, every))
             log_mass = log_mass + weight * found[-1]
-            told = np.zeros(N_GOALS**2)
-            if step + 1 < self.n_steps and (after := self.hindsight[step + 1]).any():
-                revised = in_hindsight(log_density, after)
-                one, (all_sets,) = log_likelihoods(revised, policies, pairs, 1)
-                told = gained(all_sets, every)
-                told = np.where(np.isnan(told), gained(one, first), told)
         return np.array(found).reshape(-1, N_GOALS, N_GOALS)
 
     def scores(self, table: FloatArray, weight: float) -> Scores:
@@ -254,9 +241,7 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     steps = list(zip(sets.searched, sets.densities, strict=True))
     levels = [len(likelihood.tracking.strengths)] * 2
     strengths = np.stack([one.strengths.reshape(levels) for one in readings])
-    hindsight = np.stack([one.hindsight for one in readings])
-    told = truth, levels_of(event), steps, hindsight
-    return Kept(*told, strengths, unexplained, log_peak, seconds)
+    return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)
 
 
 @functools.cache

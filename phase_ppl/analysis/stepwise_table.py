@@ -32,7 +32,7 @@ from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.analysis.estimate import Estimate, over_sets
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
-from phase_ppl.closed_loop.frame_likelihood import gained, in_hindsight, log_likelihoods
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods
 from phase_ppl.models.prior_masses import (
     APART,
     GoalRows,
@@ -53,7 +53,7 @@ independent of goals; of more, strengths are drawn."""
 _LEAST: Final = 1e-12  # hypotheses with a smaller share of the mass of the best are left out
 
 
-SCHEMA: Final = "phase_ppl/stepwise/4"
+SCHEMA: Final = "phase_ppl/stepwise/3"
 """Of files of posteriors of the closed loop."""
 
 _ATTRS: Final = ("event_id", "settings", "cost", "weight")
@@ -72,7 +72,6 @@ _POLICIES: Final = {
     "density": ("time", "joint_action"),
     "policies": ("time", "agent", "policy", "planner_seed", "action"),
     "policy_of": ("time", "agent", "standpoint"),
-    "hindsight": ("time", "agent", "action"),
     "shift": ("time", "table"),  # jackknife replicates
 }
 _READ: Final = {
@@ -143,12 +142,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
             raise InvalidEventError(f"{name} has a code outside 0 to {top - 1}")
     numbers = {
         **dict.fromkeys(("log_likelihood", "density", "log_prior_company"), "log densities"),
-        **{
-            "shift": "differences",
-            "hindsight": "log factors",
-            "strengths": "probabilities",
-            "trajectory": "positions",
-        },
+        **{"shift": "differences", "strengths": "probabilities", "trajectory": "positions"},
     }
     for name in names & {*numbers}:
         values = found[name].values
@@ -280,21 +274,6 @@ class Table:
             return np.array([found["log_likelihood"].values[t], *without], np.float64)
         if t == 0:
             return np.zeros((n_replicates, len(self.goals)))
-        _, of_frame = self._said(t, n_replicates)
-        hindsight = found["hindsight"].values[t]
-        if not hindsight.any():
-            return of_frame
-        (first, every), (first_after, every_after) = (
-            self._said(t - 1, n_replicates, factors)[0] for factors in (None, hindsight)
-        )
-        told = gained(every_after, every)
-        return of_frame + np.where(np.isnan(told), gained(first_after, first), told)
-
-    def _said(
-        self, t: int, n_replicates: int, hindsight: FloatArray | None = None
-    ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-        """Return what :func:`log_likelihoods` says of a frame, and (replicate, goals) of all."""
-        found = self.found
         policy_of, policies = found["policy_of"].values[t], found["policies"].values[t]
         numbers = [of[place] for of, place in zip(policy_of, self._standpoints, strict=True)]
         of_agents = [
@@ -302,11 +281,9 @@ class Table:
             for one, of in zip(policies, policy_of, strict=True)
         ]
         density = found["density"].values[t].reshape((N_ACTIONS,) * self.space.n_agents)
-        if hindsight is not None:
-            density = in_hindsight(density, hindsight)
         first, every = log_likelihoods(density, of_agents, numbers, n_replicates)
         moved = first + found["shift"].values[t, :n_replicates, None]
-        return (first, every), np.where(np.isnan(every), moved, every)
+        return np.where(np.isnan(every), moved, every)
 
     def summed(self, frame: int) -> FloatArray:
         """Return (replicate, goals) log likelihoods of the frames up to ``frame``, as of one."""

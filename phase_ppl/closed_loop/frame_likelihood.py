@@ -46,26 +46,6 @@ def log_likelihoods(
     return first, np.array([by([one for one in every if one != other]) for other in left_out])
 
 
-def in_hindsight(log_density: FloatArray, hindsight: FloatArray) -> FloatArray:
-    """Return the log density of a frame, by joint action, with what the next frame says of it.
-
-    Args:
-        log_density: (action of the first agent, of the second, ...) of the frame.
-        hindsight: (agent, action) of the next, as of
-            :class:`phase_ppl.closed_loop.hidden_state.HiddenState`.
-    """
-    for agent, factors in enumerate(hindsight):
-        others = [axis for axis in range(log_density.ndim) if axis != agent]
-        log_density = log_density + np.expand_dims(factors, others)
-    return log_density
-
-
-def gained(after: FloatArray, before: FloatArray) -> FloatArray:
-    """Return by how much log likelihoods of a frame have grown; 0 where it stays impossible."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isneginf(before), 0.0, after - before)
-
-
 def shift_of(first: FloatArray, every: FloatArray, log_mass: FloatArray) -> FloatArray:
     """Return (replicate,) by how much all sets move the log likelihoods of the first alone.
 

@@ -29,12 +29,7 @@ from phase_ppl.agents.agent import NO_INTENT, Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.closed_loop.frame_likelihood import (
-    gained,
-    in_hindsight,
-    log_likelihoods,
-    shift_of,
-)
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.hidden_state import (
     Expected,
     HiddenState,
@@ -178,7 +173,6 @@ class FrameReading(NamedTuple):
     density: FloatArray  # (joint action,) see :class:`GoalFilter`, and so the next
     policies: FloatArray
     policy_of: IntArray
-    hindsight: FloatArray
     shift: FloatArray
     marginals: FloatArray | None
     strengths: FloatArray  # (combination,) probabilities given the frames so far
@@ -213,14 +207,6 @@ def policies_of(plans: _All, policy: ActionPolicy) -> tuple[list[FloatArray], li
     return policies, policy_of
 
 
-class _Said(NamedTuple):
-    """What a frame says of goals: as ``density``, ``policies`` and ``policy_of`` of a reading."""
-
-    log_density: FloatArray  # (action of the first agent, of the second, ...)
-    policies: list[FloatArray]
-    policy_of: list[IntArray]
-
-
 class GoalFilter:
     """Takes in a video frame by frame; what it says of a frame never changes afterwards.
 
@@ -235,10 +221,6 @@ class GoalFilter:
         than another, and where a set has not searched.
     ``policy_of``
         (agent, standpoint) which of its policies.
-    ``hindsight``
-        (agent, action) log factors of the density of the frame before, after each agent's action:
-        what this frame says of holds that changed then. With them the frame says more of goals
-        than its density: by how much the likelihood of the frame before has grown.
     ``shift``
         (jackknife replicate,) what is to be added to the log likelihood by the first set of
         searches alone, where not all sets have searched. It is by how much the others have moved
@@ -276,7 +258,6 @@ class GoalFilter:
         self._n_replicates = 1 + (len(sets) if len(sets) > 1 else 0)
         self._is_followed = followed is not None
         self._marginals = None if log_goals is None else log_goals.copy()
-        self._last: _Said | None = None
         if followed is not None:
             goals, log_mass = followed
             self._log_mass = log_mass.copy()
@@ -299,7 +280,6 @@ class GoalFilter:
             np.zeros(N_ACTIONS**n_agents),
             np.full((n_agents, 1, len(self._sets), N_ACTIONS), 1 / N_ACTIONS, np.float32),
             np.zeros((n_agents, max(one.n for one in self._standpoints)), np.int32),
-            np.zeros((n_agents, N_ACTIONS)),
             np.zeros(self._n_replicates),
             copy.copy(self._marginals),
             np.full(n, 1.0 / n),
@@ -318,13 +298,11 @@ class GoalFilter:
         log_density = hidden.advance(frame, self._sets.map, expected)
         highest = float(log_density.max())
         relative = np.exp(log_density - highest)
-        said = _Said(log_density, policies, policy_of)
-        if self._last is not None and hidden.hindsight.any():
-            self._look_back(self._last, hidden.hindsight)
-        shift = self._follow(said) if self._is_followed else np.zeros(self._n_replicates)
+        shift = np.zeros(self._n_replicates)
+        if self._is_followed:
+            shift = self._follow(log_density, policies, policy_of)
         if self._marginals is not None:
-            self._marginals += self._weight * self._of_single_goals(said)
-        self._last = said
+            self._update_marginals(relative, policies, policy_of)
         acted = log_density
         for agent in np.flatnonzero(unseen):  # the frame does not tell what they did
             assert expected is not None
@@ -339,7 +317,6 @@ class GoalFilter:
             log_density.ravel(),
             stacked(policies).astype(np.float32),  # searches are coarser than single precision
             stacked(policy_of).astype(np.int32),
-            hidden.hindsight,
             shift,
             copy.copy(self._marginals),
             hidden.strengths(),
@@ -366,28 +343,16 @@ class GoalFilter:
             found[of_rows[probable]] = True
         return wanted
 
-    def _look_back(self, last: _Said, hindsight: FloatArray) -> None:
-        """Take in what a frame says of what was done before the last one."""
-        revised = last._replace(log_density=in_hindsight(last.log_density, hindsight))
-        if self._is_followed:
-            (_, before), (_, after) = self._of_followed(last), self._of_followed(revised)
-            self._log_mass += self._weight * gained(after, before)
-        if self._marginals is not None:
-            before, after = self._of_single_goals(last), self._of_single_goals(revised)
-            self._marginals += self._weight * gained(after, before)
-
-    def _follow(self, said: _Said) -> FloatArray:
+    def _follow(
+        self, log_density: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
+    ) -> FloatArray:
         """Take in what a frame says of the goals that are followed; return the shift."""
-        shift, so_far = self._of_followed(said)
+        numbers = [of[rows] for of, rows in zip(policy_of, self._of_rows, strict=True)]
+        first, every = log_likelihoods(log_density, policies, numbers, self._n_replicates)
+        shift = shift_of(first, every, self._log_mass)
+        so_far = np.where(np.isnan(every[0]), first + shift[0], every[0])
         self._log_mass += self._weight * so_far
         return shift
-
-    def _of_followed(self, said: _Said) -> tuple[FloatArray, FloatArray]:
-        """Return the shift of a frame, and (row,) its log likelihoods."""
-        numbers = [of[rows] for of, rows in zip(said.policy_of, self._of_rows, strict=True)]
-        first, every = log_likelihoods(said.log_density, said.policies, numbers, self._n_replicates)
-        shift = shift_of(first, every, self._log_mass)
-        return shift, np.where(np.isnan(every[0]), first + shift[0], every[0])
 
     def _expected(self, policies: list[FloatArray], policy_of: list[IntArray]) -> list[FloatArray]:
         """Return (agent) (action,) what is expected of each by what is believed of its goal."""
@@ -401,25 +366,23 @@ class GoalFilter:
             found.append(_mean_policy(np.nanmean(of_agent, axis=1)[numbers[rows]], log_mass))
         return found
 
-    def _of_single_goals(self, said: _Said) -> FloatArray:
-        """Return (agent, goal) log likelihoods of a frame, as believed of the others."""
+    def _update_marginals(
+        self, relative: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
+    ) -> None:
         assert self._marginals is not None
-        relative = np.exp(said.log_density - said.log_density.max())
         of_goals, believed = [], []
         for of_agent, numbers, usual, log_mass in zip(
-            said.policies, said.policy_of, self._usual, self._marginals, strict=True
+            policies, policy_of, self._usual, self._marginals, strict=True
         ):
             mean = np.nanmean(of_agent, axis=1)[numbers[usual]]
             of_goals.append(mean)
             believed.append(_mean_policy(mean, log_mass))
-        found = []
         for agent, mean in enumerate(of_goals):
             left = relative
             for other in range(len(believed) - 1, -1, -1):
                 if other != agent:
                     left = np.tensordot(left, believed[other], axes=(other, 0))
-            found.append(np.log(mean @ left))
-        return np.array(found)
+            self._marginals[agent] += self._weight * np.log(mean @ left)
 
 
 def _mean_policy(policies: FloatArray, log_mass: FloatArray) -> FloatArray:

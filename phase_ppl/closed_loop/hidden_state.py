@@ -10,9 +10,6 @@ every agent has every strength equally often, and so has every pair of the first
 has a filter of its own, and its evidence is the product over the frames of how probable that filter
 found them, so that none is lost by being dropped from the beam.
 
-What an action did to a hold often shows a frame later only: an item that was let go moves on beside
-its holder. So :attr:`HiddenState.hindsight` says what a frame tells of the actions before it.
-
 A body may be unseen. It goes on as physics moves it, and an agent as its policies say: then states
 are drawn by their probabilities, not the best ones taken, so that they spread as its whereabouts
 do. When it is seen again, its place counts as evidence by that spread, and corrects the states.
@@ -42,7 +39,6 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import State
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene
 
 UNSEEN: Final = 0.05  # units that are assumed before there is anything to estimate the noise from
@@ -111,11 +107,6 @@ _ALIKE: Final = 4
 
 _TRIED: Final = 6  # joint actions followed per place in the beam
 _LEAST: Final = 20.0  # log weight below the best at which a state is dropped
-
-_LEAST_FACTOR: Final = 1e-6
-"""What comes after makes no action less probable than this: the beam may lack its state."""
-
-_SMALLEST: Final = 1e-300
 
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
@@ -202,9 +193,6 @@ class HiddenState:
         beam: states after the last frame.
         combinations: (combination, agent) newtons, those that are followed.
         log_peak: log density that the last frame would have had exactly where an action puts it.
-        hindsight: (agent, intended action of the step before the last) log factors of its
-            probability, from how well the last frame agrees with what it did to the hold; 0 where
-            that is not known.
     """
 
     def __init__(self, scene: Scene, tracking: Tracking, threads: int = 1) -> None:
@@ -246,10 +234,6 @@ class HiddenState:
         self._turns = np.zeros(n_bodies)
         self._n_drawn = 0  # frames after which states were drawn
         self.log_peak = 0.0
-        self.hindsight = np.zeros((n_agents, N_ACTIONS))
-        # (agent, executed action, hold) probabilities of what the last actions led to, each agent
-        # holding nothing or an entity; 0 throughout for actions that are not followed
-        self._led_to = np.zeros((n_agents, N_ACTIONS, 1 + n_bodies))
 
     def advance(
         self,
@@ -292,48 +276,17 @@ class HiddenState:
             )
 
         list(share(try_part, range(len(self._spaces))))
-        before, log_share = self._log_strengths(), self._log_share_of(observed, policies)
-        self.hindsight = self._judge(found.max(axis=1))
         found += beam.within[:, None]
+        before = self._log_strengths()
         log_density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
         self._noise.update(observed)
         # what was unseen is corrected the more the less was known of it
         usual = filter_gains(tracking.scale, self._noise.now)
         noise = np.array([scale, scale, tracking.angle_scale]) ** 2
         gains = usual + (1.0 - usual) * spread**2 / (spread**2 + noise)
-        self._go_on(found + log_share, observed, gains)
+        self._go_on(found + self._log_share_of(observed, policies), observed, gains)
         self._unseen = np.where(np.isnan(observed[:, [0, 2]]), self._unseen + 1, 0)
         return np.asarray(log_density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
-
-    def _judge(self, log_evidence: FloatArray) -> FloatArray:
-        """Return :attr:`hindsight` of a frame.
-
-        ``log_evidence`` (B,) is the frame's log density after the best joint action from each
-        state. A mean over actions would favour holds with which most actions do little, while
-        nothing moves.
-        """
-        beam = self.beam
-        log_mass = beam.within + self._log_strengths()[beam.combination]
-        mass, evidence = np.exp(log_mass), np.exp(log_evidence - log_evidence.max())
-        factors = np.ones((self._n_agents, N_ACTIONS))
-        for agent, (held, led_to) in enumerate(zip(beam.held.T, self._led_to, strict=True)):
-            n = led_to.shape[1]
-            share = np.bincount(held - NOTHING, mass, n)
-            joint = np.bincount(held - NOTHING, mass * evidence, n)
-            mean = joint.sum() / share.sum()
-            ratio = np.ones(n)  # holds that no state has any more are not judged
-            np.divide(joint, share * mean, out=ratio, where=share > 0)
-            known = led_to.any(axis=1)
-            factors[agent, known] = np.maximum(led_to[known] @ ratio, _LEAST_FACTOR)
-        return np.log(factors[:, self._executed])
-
-    def _note_holds(self, done: IntArray, held: IntArray, log_mass: FloatArray) -> None:
-        """Note to which holds the executed actions led, (state, agent) each."""
-        mass = np.exp(log_mass - log_mass.max())
-        for led_to, actions, holds in zip(self._led_to, done.T, held.T, strict=True):
-            led_to[:] = 0.0
-            np.add.at(led_to, (actions, holds - NOTHING), mass)
-            led_to /= np.maximum(led_to.sum(axis=1, keepdims=True), _SMALLEST)
 
     def _continued(self, observed: FloatArray) -> FloatArray:
         """Return a frame whose angles go on from those that were believed while they were unseen.
@@ -438,7 +391,6 @@ class HiddenState:
             self._unseen[:, 0].copy(), *self._spaces[0], bodies, held, weld,
         )  # fmt: skip
         combination, rows = beam.combination[parents], np.arange(n)
-        self._note_holds(done, held, mass + self._log_strengths()[combination])
         if not drawn:
             rows, mass = self._merged(bodies, held, combination, mass)
         combination = combination[rows]

@@ -7,12 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
-from phase_ppl.closed_loop.frame_likelihood import (
-    gained,
-    in_hindsight,
-    log_likelihoods,
-    shift_of,
-)
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
     ActionPolicy,
     Plans,
@@ -80,18 +75,6 @@ def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
     first, every = read(one, density)
     assert len(every) == 1  # nothing is to be left out
     np.testing.assert_array_equal(first, every[0])
-
-
-def test_hindsight_weighs_what_was_done_by_what_came_after() -> None:
-    sets, density = drawn(2)
-    factors = np.random.default_rng(0).random((2, N_ACTIONS))
-    revised = density * np.multiply.outer(*factors)
-    after = np.exp(in_hindsight(np.log(density), np.log(factors)))
-    assert after == pytest.approx(revised)
-    found = gained(read(sets, after)[1], read(sets, density)[1])[0]
-    expected = by_hand(sets, revised, [0, 1]) - by_hand(sets, density, [0, 1])
-    assert found[OTHER] == pytest.approx(expected)
-    assert gained(np.array([-np.inf]), np.array([-np.inf])) == 0.0
 
 
 def test_goals_with_one_set_of_searches_are_moved_with_the_others() -> None:

@@ -71,19 +71,6 @@ def test_frames_of_any_array_are_read_by_the_kernels_that_are_there() -> None:
     assert all(np.array_equal(density, densities[0]) for density in densities)
 
 
-@pytest.mark.parametrize("last", [Action.NO_FORCE, Action.DETACH])
-def test_a_frame_tells_whether_the_step_before_let_go(last: Action) -> None:
-    where, wait = near_item(), Action.NO_FORCE
-    carry = [*[(Action.UP, wait)] * 3, (Action.ATTACH, wait), *[(Action.DOWN, wait)] * 4]
-    frames = frames_of(where, [*carry, (last, wait), (Action.TURN_LEFT, wait)])
-    gain, of_other = followed(where, frames).hindsight
-    if last is Action.DETACH:
-        assert gain[Action.DETACH] > gain[Action.NO_FORCE] + 2
-    else:
-        assert gain[Action.DETACH] < gain[Action.NO_FORCE] - 2
-    assert not of_other.any()  # nothing is in reach of the other
-
-
 def test_actions_holds_and_strengths_are_recovered() -> None:
     where = near_item()
     hidden = HiddenState(where, Tracking(strength_weight=1.0))
