@@ -1,12 +1,12 @@
 """How long does a person wait, and where does the time go?
 
-    python benchmarks/waits.py [--only PART ...] [--frames N] [--figure FILE] [--json FILE]
+    python benchmarks/waits.py [--only PART ...] [--frames N] [--every N] [--json FILE]
 
 - ``first``: the first answer where no compiled code is kept; which functions were compiled
 - ``answers``: the closed loop and SIMPLE on a bundled event, by part
 - ``stream``: frames of a stream, early and late: seconds and memory
 - ``events``: what an event of a set costs beside its answer, and the second process
-- ``models``: models at their accuracy, on every fourth real video
+- ``models``: models at their accuracy, on every fourth real video (``--every``)
 
 Seconds depend on the machine, so the first line measures it: a loop of Python, and one transition
 of the compiled physics. Use a quiet machine, and compare figures of one run.
@@ -241,7 +241,7 @@ def draw(costs: dict[int, float], file: str) -> None:
     figure.savefig(file, dpi=150)
 
 
-def models(_: Any) -> dict[str, Any]:
+def models(options: Any) -> dict[str, Any]:
     """Right answers, mean log probability of the truth and CPU seconds, by model."""
     budget: dict[str, Any] = {"budget": ppl.simulations(120), "workers": 1}
     ways: dict[str, Callable[[ppl.Event], Any]] = {
@@ -253,7 +253,7 @@ def models(_: Any) -> dict[str, Any]:
             one, kernel=kernel, progress=False, **budget
         )
     rows = []
-    for one in common.dev_events()[::4]:
+    for one in common.dev_events()[:: options.every]:
         truth = {"goal_red": one.truth.goal_red, "goal_green": one.truth.goal_green,
                  "relation": one.truth.relation}  # fmt: skip
         for name, infer in ways.items():
@@ -291,6 +291,7 @@ def main() -> None:
     parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART")
     parser.add_argument("--frames", type=int, default=STREAM, help="of the stream")
+    parser.add_argument("--every", type=int, default=4, metavar="N", help="real video, of models")
     parser.add_argument("--figure", metavar="FILE", help="cost against events")
     options = parser.parse_args()
     report = {}
