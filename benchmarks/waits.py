@@ -248,7 +248,7 @@ def models(options: Any) -> dict[str, Any]:
         "closed loop, 1 set": lambda one: ppl.infer(one, closed_loop(1), progress=False),
         "closed loop, 4 sets": lambda one: ppl.infer(one, closed_loop(4), progress=False),
     }
-    for kernel in ("local_mh", "prior_mh", "importance", "smc"):
+    for kernel in ("local_mh", "importance", "smc"):
         ways[f"{kernel}, 120"] = lambda one, kernel=kernel: ppl.infer(  # type: ignore[misc]
             one, kernel=kernel, progress=False, **budget
         )
