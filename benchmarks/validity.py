@@ -90,7 +90,7 @@ def size(kernel: Any, info: KernelInfo, simulations: int) -> tuple[int, int]:
     if info.keeps == "last":
         return simulations // (POPULATION_STEPS + 1), POPULATION_STEPS
     per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
-    left = simulations - CHAINS
+    left = simulations - CHAINS * getattr(kernel, "sims_at_start", 1)
     return CHAINS, max(3, left // (CHAINS * per_step))
 
 

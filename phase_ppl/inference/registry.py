@@ -12,7 +12,8 @@ A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -
 ``window``, ``log_weight`` (for weighted draws) and ``log_evidence``.
 
 Some facts depend on the model. A kernel may define them as attributes: ``validity``,
-``sims_per_step`` and ``n_iterations(chains)``, of a kernel that decides its own length.
+``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by default) and
+``n_iterations(chains)``, of a kernel that decides its own length.
 """
 
 from __future__ import annotations
@@ -111,8 +112,8 @@ def refuse_numpyros(kind: type, kernel: str) -> None:
         )
     if issubclass(kind, MCMCKernel) and kind.__module__.startswith("numpyro."):
         raise InvalidSettingError(
-            f"kernel {kernel} keeps no seed of the simulator: run it by numpyro.infer.MCMC on a "
-            "phase_ppl.program; kernel='gibbs' is NumPyro's Gibbs"
+            f"kernel {kernel} keeps no seed of the simulator: take 'sa', 'aies' or 'gibbs', which "
+            "are NumPyro's, or make it a phase_ppl.kernels.NumpyroKernel"
         )
 
 

@@ -406,6 +406,7 @@ class Length(NamedTuple):
     chains: int  # number of particles M
     iterations: int | None = None  # L, after the initial particles; None: until the budget is spent
     budget: Budget | None = None  # none where there is a number of iterations
+    sims_at_start: int = 1  # the most simulations of each initial particle
     sims_per_step: int = 1  # the most simulations that an iteration takes per particle
 
     @classmethod
@@ -425,7 +426,7 @@ class Length(NamedTuple):
         if budget is not None:
             instance_of("budget", budget, Budget, BUDGETS)
         per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
-        length = cls(chains, iterations, budget, per_step)
+        length = cls(chains, iterations, budget, getattr(kernel, "sims_at_start", 1), per_step)
         if own := getattr(kernel, "n_iterations", None):
             length._check_own(info.name, own(chains), n_frames)
             return length._replace(iterations=own(chains), budget=None)
@@ -434,10 +435,11 @@ class Length(NamedTuple):
             return length._replace(iterations=wanted)
         small = f"a budget of {budget} is too small: {chains} initial particles"
         # the cost of an iteration is unknown beforehand: assume one simulation for each particle
-        if length.limit("simulations") < 2 * chains:
-            raise InvalidSettingError(f"{small} and one iteration need {2 * chains}")
-        if length.limit("frames") <= chains * n_frames:
-            raise InvalidSettingError(f"{small} need {chains * n_frames}, and iterations on top")
+        at_start = length.at_most(0)
+        if length.limit("simulations") < at_start + chains:
+            raise InvalidSettingError(f"{small} and one iteration need {at_start + chains}")
+        if length.limit("frames") <= at_start * n_frames:
+            raise InvalidSettingError(f"{small} need {at_start * n_frames}, and iterations on top")
         return length
 
     def _check_own(self, name: str, needed: int, n_frames: int) -> None:
@@ -461,7 +463,7 @@ class Length(NamedTuple):
 
     def at_most(self, iterations: int) -> int:
         """Return the most simulations that ``iterations`` iterations take."""
-        return self.chains * (1 + iterations * self.sims_per_step)
+        return self.chains * (self.sims_at_start + iterations * self.sims_per_step)
 
     def limit(self, unit: str) -> float:
         """Return the budget if it is in ``unit``; else inf."""
@@ -527,7 +529,7 @@ class Pace:
         """
         taken = clock() - self._mark
         if initial:
-            taken *= self._length.sims_per_step
+            taken *= self._length.sims_per_step / self._length.sims_at_start
         elif self._first_guess:
             self.recent.clear()
         self._first_guess = initial

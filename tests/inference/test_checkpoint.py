@@ -107,6 +107,15 @@ def test_a_population_goes_on_from_its_initial_particles(
     assert_same_draws(infer(**options, settings=settings).tree, resume(path).tree)
 
 
+@pytest.mark.parametrize("kernel", ["aies", pytest.param("sa", marks=pytest.mark.slow)])
+def test_a_sampler_of_numpyro_goes_on_bit_for_bit(kernel: str, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"kernel": kernel, "chains": 12, "weights": "count"}
+    infer(**options, iterations=2, checkpoint=tmp_path / "run.ckpt")
+    again = resume(tmp_path / "run.ckpt", iterations=5)
+    assert_same_draws(infer(**options, iterations=5).tree, again.tree)
+    assert (again.tree["sample_stats"]["accepted"]).any()
+
+
 def test_a_complete_run_gives_its_posterior_without_simulating(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

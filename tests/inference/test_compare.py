@@ -133,6 +133,18 @@ def test_equal_budgets_are_equal_in_what_was_spent() -> None:
     assert "the budget of frames" in str(found)
 
 
+@pytest.mark.slow
+def test_a_pool_that_is_simulated_at_the_start_is_part_of_the_budget() -> None:
+    kernels, chains, at_start = ["aies", "sa"], 12, 12 * 8 * 6
+    budget = at_start + 3 * chains
+    given: dict[str, Any] = {"kernels": kernels, "chains": chains, "repeats": 1}
+    found = compare("none", budget=ppl.simulations(budget), **given)
+    assert found.runs["simulations"].between(budget, budget + chains - 1).all()
+    assert found.runs["validity"].tolist() == ["exact", "consistent"]
+    with pytest.raises(InvalidSettingError, match=f"one iteration need {at_start + chains}"):
+        compare("none", budget=ppl.simulations(at_start), **given)
+
+
 def asked(given: Any, budget: Any = SETTINGS["budget"], with_smc: bool = False) -> Reference:
     return Reference.asked_for(given, EVENT, budget, 4, ppl.SimpleSettings(), with_smc)
 

@@ -46,7 +46,7 @@ def test_what_an_iteration_takes_is_guessed_from_the_last_three(clock: Clock) ->
         pace.end(initial=initial)
         pace.done = done
 
-    pace = Pace(Length(1, None, ppl.seconds(113), sims_per_step=2), clock())
+    pace = Pace(Length(1, None, ppl.seconds(113), 1, sims_per_step=2), clock())
     take(10, 0, initial=True)  # so an iteration of two simulations is taken to need 20
     assert pace.expected == 5
     take(30, 1)  # the guess is forgotten
@@ -145,7 +145,7 @@ def test_a_budget_goes_on_bit_for_bit(
 # --- length ---------------------------------------------------------------------------------------
 
 INFO = KernelInfo("mine", lambda program: None, "exact", 2, ("vectorized",), (), "")
-COSTLY = SimpleNamespace(sims_per_step=5)
+COSTLY = SimpleNamespace(sims_at_start=3, sims_per_step=5)
 OWN = SimpleNamespace(n_iterations=lambda chains: 12 // chains)
 
 
@@ -155,19 +155,19 @@ def length_of(kernel: Any, chains: int, iterations: Any = None, budget: Any = No
 
 def test_a_kernel_knows_better_than_its_registration_what_it_costs_and_may_decide_it() -> None:
     length = length_of(COSTLY, 10, 4)
-    assert length == Length(10, 4, None, 5)
-    assert length.at_most(4) == 10 * (1 + 4 * 5)
-    assert length_of(SimpleNamespace(), 10) == Length(10, 6, None, 2)
+    assert length == Length(10, 4, None, 3, 5)
+    assert length.at_most(4) == 10 * (3 + 4 * 5)
+    assert length_of(SimpleNamespace(), 10) == Length(10, 6, None, 1, 2)
     budgets = (None, ppl.simulations(28), ppl.frames(28 * 14))
-    assert {length_of(OWN, 4, budget=budget) for budget in budgets} == {Length(4, 3, None, 2)}
+    assert {length_of(OWN, 4, budget=budget) for budget in budgets} == {Length(4, 3, None, 1, 2)}
     assert length_of(OWN, 4, 3).iterations == 3
 
 
 @pytest.mark.parametrize(
     ("kernel", "given", "message"),
     [
-        (COSTLY, {"budget": ppl.simulations(19)}, r"19 simulations is too small.* 20"),
-        (COSTLY, {"budget": ppl.frames(140)}, r"140 frames is too small.* 140"),
+        (COSTLY, {"budget": ppl.simulations(39)}, r"39 simulations is too small.* 40"),
+        (COSTLY, {"budget": ppl.frames(420)}, r"420 frames is too small.* 420"),
         (OWN, {"budget": ppl.frames(30 * 14 - 1)}, r"419 frames is too small.*420"),
         (OWN, {"budget": ppl.simulations(29)}, r"29 simulations is too small.*30"),
         (OWN, {"budget": ppl.seconds(3)}, r"seconds is of no use to kernel 'mine'.*takes 1 it"),

@@ -70,10 +70,10 @@ def test_a_kernel_may_be_a_class_or_a_function(program: EventProgram) -> None:
             info_of(other)  # type: ignore[arg-type]
 
 
-CONSISTENT = ("amis", "enumerate", "importance", "smc")
+CONSISTENT = ("amis", "enumerate", "importance", "sa", "smc")
 
 
-@pytest.mark.parametrize("name", [*CONSISTENT, "gibbs"])
+@pytest.mark.parametrize("name", [*CONSISTENT, "aies", "gibbs"])
 def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None:
     info: Any = info_of(name)
     own = info_of(type("Own", (info.factory,), {}))
@@ -90,7 +90,7 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
             info_of(kernel)  # type: ignore[arg-type]
     with pytest.raises(InvalidSettingError, match="which makes a NUTS, needs a gradient"):
         info_of(lambda program: NUTS(program)).make(program)
-    with pytest.raises(InvalidSettingError, match="keeps no seed of the simulator: run it by"):
+    with pytest.raises(InvalidSettingError, match="keeps no seed of the simulator: take 'sa'"):
         info_of(SA)
     with pytest.raises(InvalidSettingError, match="which makes a SA, keeps no seed"):
         info_of(lambda program: SA(program)).make(program)

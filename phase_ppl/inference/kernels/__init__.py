@@ -6,8 +6,9 @@ They are classes for NumPyro's ``MCMC``: ``ppl.kernels.LocalMH(program)`` of a
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import PriorMH, SingleSiteMH
+from phase_ppl.inference.kernels.numpyro_kernels import NumpyroKernel
 
-__all__ = ["LocalMH", "PriorMH", "SingleSiteMH"]
+__all__ = ["LocalMH", "NumpyroKernel", "PriorMH", "SingleSiteMH"]
 
 
 def __dir__() -> list[str]:
