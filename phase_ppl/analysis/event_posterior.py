@@ -530,7 +530,7 @@ def answer_lines(
             text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
-            text = f"{of.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
+            text = f"{of.mean(name)} N (95 % interval {low:.0f} to {high:.0f} N)"
         lines += wrapped("" if place else "strength", f"{agent}: {text}")
     return lines
 

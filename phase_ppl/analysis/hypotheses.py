@@ -59,7 +59,7 @@ Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
 """What to condition on: quantity -> value, or conditions in words; None: nothing."""
 
 KEPT_DEFINITIONS: Final = "definitions"  # attribute of a file that holds definitions in words, JSON
-HDI_PROBABILITY: Final = 0.94  # mass of the intervals that summaries report
+HDI_PROBABILITY: Final = 0.95  # mass of the intervals that summaries report
 N_TOP: Final = 3  # number of labels that ``top`` returns where nothing else is asked for
 
 LEFT_OUT_OF_INTERVALS: Final = 1 / 3

@@ -117,8 +117,8 @@ class Summary(Hypotheses):
             signs = " (red to green, green to red: 1 helps, -1 hinders)"
             lines += wrapped(f"{name} ", text + signs * (name == ALPHA_SITE))
         for name, drawn in self._further.items():
-            low, high = np.quantile(drawn, [0.03, 0.97])
-            within = f"94 % in {low:.2f} to {high:.2f}; {len(drawn)} draws"
+            low, high = np.quantile(drawn, [0.025, 0.975])
+            within = f"95 % in {low:.2f} to {high:.2f}; {len(drawn)} draws"
             lines += wrapped(f"{name} ", f"mean {drawn.mean():.2f} ({within})")
         return "\n".join([*wrapped("prior", self._title), "", *lines])
 

@@ -214,7 +214,7 @@ class _Reader:
         if self._take("%"):
             number /= 100
         if not 0 < number <= 1:
-            self.expected("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
+            self.expected("a share in (0, 1] or percent, as in hdi 95% strength_red", start)
         return number
 
     def _is_event(self) -> bool:
@@ -385,7 +385,8 @@ class _Reader:
 
     def _quantity(self, name: Word) -> Quantity:
         if name.text not in self._quantities:
-            self._fail(str(unknown_name("quantity", name.text, self._quantities)), name.at)
+            known = ", ".join(self._quantities)
+            self._fail(f"unknown quantity {shown(name.text)}; allowed: {known}", name.at)
         return self._quantities[name.text]
 
     def _name(self) -> Word:

@@ -61,11 +61,6 @@ _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
 }
 """State -> its mark, colour and meaning, the worst state first."""
 
-_TRUST: Final = {
-    "confident": "Confident.",
-    "not certain": "Not certain.",
-    "do not trust": "Do not trust it yet.",
-}
 _CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
@@ -114,7 +109,7 @@ def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[
     ]
     return {
         "trust": trust,
-        "answer": f"{'; '.join(parts)}. {_TRUST[trust]}",
+        "answer": f"{'; '.join(parts)}. {trust.capitalize()}.",
         "checks": [one._asdict() for one in checks],
         "next": next((one.advice for one in ordered if one.advice), _ONWARD),
         "verdict": " ".join(one.says for one in ordered if one.says) or closing,
@@ -508,7 +503,7 @@ def of_reading(found: Record) -> dict[str, Any]:
             f"{errors[worst]:.2f}): use more."
         )
         state = "doubt" if errors[worst] > DISAGREE else "ok"
-        value = f"errors to {errors[worst]:.2g}, {n_sets} sets"
+        value = f"errors up to {errors[worst]:.2g}, {n_sets} sets"
         checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
     elif not users_simulator:
         says = "With one set of searches nothing tells how much of this is the planner's chance."

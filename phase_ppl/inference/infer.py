@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.verdict import ODD_PACE
+from phase_ppl.data.load import load_event
 from phase_ppl.data.motion import odd_pace
 from phase_ppl.inference.settings import (
     KERNEL,
@@ -37,7 +38,7 @@ CHAINS: Final = 15  # M, the paper's number of particles
 
 @overload
 def infer(
-    event: Event,
+    event: str | os.PathLike[str] | Event,
     model: Model | None = None,
     *,
     kernel: None = None,
@@ -48,11 +49,15 @@ def infer(
 ) -> StepwisePosterior: ...
 @overload
 def infer(
-    event: Event | StepwisePosterior, model: Model | None = None, *, kernel: Kernel, **options: Any
+    event: str | os.PathLike[str] | Event | StepwisePosterior,
+    model: Model | None = None,
+    *,
+    kernel: Kernel,
+    **options: Any,
 ) -> Posterior: ...
 @on_cpu()
 def infer(
-    event: Event | StepwisePosterior,
+    event: str | os.PathLike[str] | Event | StepwisePosterior,
     model: Model | None = None,
     *,
     kernel: Kernel | None = None,
@@ -102,7 +107,8 @@ def infer(
       no failures.
 
     Args:
-        event: event to explain; with a kernel, also a result of the closed loop.
+        event: event to explain, or the name of a file or of a bundled event; with a kernel, also a
+            result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
         kernel: None: the closed loop. To sample: a name (:func:`phase_ppl.available_kernels`), a
             kernel class, or a function from the program of the event to a NumPyro kernel.
@@ -136,7 +142,7 @@ def infer(
 
     Raises:
         InvalidSettingError, UnknownNameError: a setting that cannot be used.
-        InvalidEventError: ``event`` is no event.
+        InvalidEventError: ``event`` is no event, or cannot be read.
         OutputError: the checkpoint exists, or cannot be written.
         SimulationError: all initial simulations failed; or one failed, with "raise".
         Interrupted, StepwiseInterrupted: Ctrl-C.
@@ -161,6 +167,8 @@ def infer(
         )
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
+    if isinstance(event, str | os.PathLike):
+        event = load_event(event)
     if kernel is None:
         of_sampling = {**options, "chains": chains, "settings": settings, **kernel_options}
         usual = {"on_failure": "reject", "chains": CHAINS}

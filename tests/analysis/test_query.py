@@ -112,7 +112,7 @@ WRONG = {
     "P(relation=friendly]": (19, "')'"),
     "P(relation=friendly) x": (21, "the end"),
     "P(relation=freindly)": (11, "did you mean 'friendly'"),
-    "P(relatoin=friendly)": (2, "did you mean 'relation'"),
+    "P(relatoin=friendly)": (2, "unknown quantity 'relatoin'; allowed: goal_red, "),
     "P(relation~friendly)": (10, "',' or '|' or ')'"),
     "P(relation=friendly, goal_red)": (29, "=, !=, <"),
     "P(goal_red, relation=friendly)": (20, "names only or conditions only"),
@@ -237,7 +237,7 @@ def test_definitions_in_words_are_saved_and_read_from_a_text_file(tmp_path: Path
     for text, said in (
         ("same = 3\n", "line 1: 'same = 3' is no definition"),
         ("a: relation=neutral\na: relation=friendly", "line 2: a is defined twice"),
-        ("a: relatoin=neutral", "did you mean 'relation'"),
+        ("a: relatoin=neutral", "unknown quantity 'relatoin'"),
         ("relation: alpha=(0, 0)", "there is a quantity 'relation' already"),
     ):
         file.write_text(text)

@@ -187,7 +187,7 @@ def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior
         (post.define, "the prior has a site 'hostile'", "hostile", "goal_red = goal_green"),
         (post.why, "frames speak of hypotheses", "hostile=1"),
         (post.query, "unknown hostile 'maybe'", "P(hostile=maybe)"),
-        (post.query, "did you mean 'hostile'", "E[hostil]"),
+        (post.query, "unknown quantity 'hostil'; allowed: .*, hostile", "E[hostil]"),
     ):
         with pytest.raises((InvalidSettingError, QueryError), match=said):
             ask(*asked)
