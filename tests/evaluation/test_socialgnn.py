@@ -132,7 +132,6 @@ def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None
     for question in ("goal_red", "goal_green", "relation"):
         assert (one[question] != other[question]).any()
         np.testing.assert_allclose(both[question], (one[question] + other[question]) / 2)
-    assert (trained / "extended.png").stat().st_size > 5000
 
 
 @needs_torch

@@ -13,7 +13,6 @@ from phase_ppl.analysis.figures.curves import (
     diagnostics,
     errors,
     goal_map,
-    training_curves,
 )
 from phase_ppl.analysis.figures.over_time import over_time, why
 from phase_ppl.analysis.figures.posterior import posterior
@@ -31,7 +30,6 @@ __all__ = [
     "over_time",
     "posterior",
     "search",
-    "training_curves",
     "why",
     "written",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -269,45 +268,6 @@ def _chain_rows(axes: Axes, n: int) -> None:
         axes.hlines(np.arange(1, n) + 0.5, *axes.get_xlim(), color="white", lw=0.7)
     _whole_ticks(axes.yaxis, n)
     axes.spines[:].set_visible(False)
-
-
-# --- a training --------------------------------------------------------------------------------
-
-_CURVES: Final = {
-    "Loss": {"training": "training events", "validation": "validation events"},
-    "Right answers on the validation events": {"relation": "relation", "goals": "goals"},
-}
-"""Title of a panel -> curve -> its name."""
-
-
-@in_style
-def training_curves(
-    report: Mapping[str, Any], path: str | os.PathLike[str] | None = None
-) -> Figure:
-    """Draw the curves of all networks of a training, 7.5 x 3 inches.
-
-    ``report`` is what :func:`phase_ppl.train_socialgnn` returns.
-    """
-    members, events = report["members"], report["data"]["events"]
-    figure = new_figure(
-        *(7.5, 3),
-        f"SocialGNN, {report['settings']['variant']}: {len(members)} "
-        f"network{'s' * (len(members) != 1)}, {events['train']} training and "
-        f"{events['validation']} validation events",
-    )
-    longest = max(len(member["curves"]["training"]) for member in members)
-    colours = iter(COLOURS)
-    for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
-        for (name, label), colour in zip(lines.items(), colours):  # noqa: B905
-            for number, member in enumerate(members if name in members[0]["curves"] else ()):
-                values = member["curves"][name]
-                style: dict[str, Any] = {"color": colour, "label": None if number else label}
-                axes.plot(np.arange(1, len(values) + 1), values, lw=0.9, alpha=0.75, **style)
-        axes.set(title=title, xlabel="epoch", xlim=(1, max(longest, 2)))
-        axes.set_ylim(0, 1.02 if "relation" in lines else None)
-        axes.grid(axis="y")
-        axes.legend()
-    return written(figure, path)
 
 
 # --- a set of events ------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ Training on a generated data set, from several seeds, writes a folder::
     DIR/
       extended.npz            all networks, called by their variant, and the report
       extended.json           the report
-      extended.png            the curves
 
 Each network depends on its own seed only.
 """
@@ -234,8 +233,7 @@ def _finish(
     asked: dict[str, Any],
     progress: bool | None,
 ) -> dict[str, Any]:
-    """Write the networks, score them as they are read again, write the report, draw the curves."""
-    from phase_ppl.analysis.figures.curves import training_curves
+    """Write the networks, score them as they are read again, and write the report."""
     from phase_ppl.models.socialgnn.network import Ensemble
 
     variant, threads = settings.variant, settings.threads
@@ -267,7 +265,6 @@ def _finish(
     write_json(folder / f"{variant}.json", report)
     written = (folder / f"{variant}.json").read_bytes()
     store.save(members, file, written)
-    training_curves(report, folder / f"{variant}.png")
     return report
 
 
