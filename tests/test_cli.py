@@ -391,20 +391,6 @@ class TestQuery:
             "             ^",
         ]
 
-    def test_quantities_that_a_file_defines(
-        self, folder: Path, tmp_path: Path, capsys: Capture
-    ) -> None:
-        own = tmp_path / "own.txt"
-        own.write_text("# pairs\nsame: goal_red = goal_green\np: goal_red = goal_green\n")
-        ask = ["query", str(folder), "P(same=True or goal_red=get to green agent)"]
-        ask += ["--define", str(own)]
-        assert told(capsys, *ask).endswith(" = 1.00 ± 0.19\n")
-        table = ["P(p):", "  0.75 ± 0.25  True", "  0.25 ± 0.25  False"]
-        assert told(capsys, *ask[:2], "P(p)", *ask[3:]).splitlines() == table
-        own.write_text("same: goal_red = goal_gren\n")
-        assert main(ask) == 2
-        assert "goal_red = goal_gren\n             ^" in capsys.readouterr().err
-
 
 HUT = """
 import phase_ppl

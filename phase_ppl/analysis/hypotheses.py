@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import json
 import math
-import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, Final, Self, TypeAlias
 
@@ -36,7 +35,6 @@ from phase_ppl.analysis.query import (
     check_new_name,
     conditions,
     defined,
-    read_definitions,
     understood,
 )
 from phase_ppl.analysis.weights import Rows
@@ -141,18 +139,6 @@ class Hypotheses(Printed):
         self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
         self._defined[name] = definition
         return self
-
-    def define_from(self, path: str | os.PathLike[str]) -> Self:
-        """Add the quantities that a text file defines, a line each; return the posterior.
-
-        A line has a name, a colon and conditions, as in ``same_goal: goal_red = goal_green``; it
-        may use names that were defined before. Lines that begin with # are left out.
-
-        Raises:
-            InvalidEventError: there is no such file, or it has a line of another form.
-            QueryError, InvalidSettingError: as of :meth:`define`.
-        """
-        return self._defining(read_definitions(path))
 
     @property
     def definitions(self) -> dict[str, Definition]:

@@ -42,7 +42,6 @@ import itertools
 import keyword
 import math
 import operator
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar
@@ -53,14 +52,12 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.world.arrays import equal_rows
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     QueryError,
     UnknownNameError,
     shown,
     unknown_name,
 )
-from phase_ppl.world.files import existing_file
 
 QUESTIONS: Final = ("P", "E", "sd", "median", "odds", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
@@ -503,8 +500,6 @@ RESERVED_QUANTITIES: Final = frozenset(
 _SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
 """What a message says of a hypothesis."""
 
-_LINE: Final = re.compile(r"\s*(?P<name>\w+)\s*:\s*(?P<text>.+?)\s*")
-
 
 class Named:
     """A hypothesis as functions of :meth:`Posterior.define` see it: ``h.goal_red`` and so on.
@@ -601,26 +596,3 @@ def _value(name: str, function: Function, view: Named) -> bool | int | float | s
     raise InvalidSettingError(
         f"{name} is {shown(found)} for {view!r}: expected a truth value, a number or a string"
     )
-
-
-def read_definitions(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the definitions of a text file, see ``define_from``: name -> conditions in words."""
-    source = existing_file(path)
-    try:
-        lines = source.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise InvalidEventError(f"{source} is no text: {error}") from None
-    found: dict[str, str] = {}
-    for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        match = _LINE.fullmatch(line)
-        if match is None:
-            raise InvalidEventError(
-                f"{source}, line {number}: {shown(line)} is no definition; expected a name, a "
-                "colon and conditions, as in same_goal: goal_red = goal_green"
-            )
-        if match["name"] in found:
-            raise InvalidEventError(f"{source}, line {number}: {match['name']} is defined twice")
-        found[match["name"]] = match["text"]
-    return found

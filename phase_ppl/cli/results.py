@@ -41,13 +41,11 @@ def query(options: Options) -> int:
     "or", "and", "not", round brackets, and "," for what holds as well: P(relation=friendly
     or target_red = target_green, not alpha=(0, 0)). Brackets after the first word may be
     left out. Values in any case and spacing, in quotes where they hold a special character.
-    --define FILE adds quantities, a line each: same_goal: goal_red = goal_green
 
     Args:
         $posterior
         QUESTION...:
         --prior NAME: under another prior: a name, or FILE.py:NAME, which is run
-        --define FILE: quantities of your own, a line each: NAME: CONDITIONS
         --json: answers as JSON, a list
 
     quantities: goal_A, goal_kind_A, target_A, landmark_A, sign_A, stated_goal_A and
@@ -58,8 +56,6 @@ def query(options: Options) -> int:
     post = _posterior(options)
     if options.prior is not None:
         post = post.with_prior(users_parts.taken(options.prior, "prior"))
-    if options.define is not None:
-        post.define_from(options.define)
     answers, failed = list[tuple[str, Any]](), list[QueryError]()
     for question in options.question:
         try:
