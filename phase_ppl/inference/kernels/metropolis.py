@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import jax
@@ -306,21 +306,6 @@ class Proposed(NamedTuple):
     key: jax.Array  # of the state to come
 
 
-def _redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
-    prior, value = site["fn"], site["value"]
-    new = prior.sample(key, site["kwargs"].get("sample_shape", ()))
-    return new, jnp.sum(prior.log_prob(value)) - jnp.sum(prior.log_prob(new))
-
-
-def log_ratio_known(
-    log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState
-) -> jax.Array:
-    """Return the log acceptance ratio without the likelihoods."""
-    known = log_prior - state.log_prior + log_hastings
-    # from a start without mass, every completed simulation is accepted
-    return jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
-
-
 def log_ratio(
     log_known: jax.Array,
     current: jax.Array,
@@ -391,42 +376,6 @@ class MetropolisKernel(EventKernel):
             rng_key=key,
         )
 
-    def move_to(
-        self,
-        sites: dict[str, jax.Array],
-        log_hastings: jax.Array | float,
-        state: MHState,
-        from_prior: bool = False,
-    ) -> Move:
-        """Return the move to a hypothesis z'; its reversal does not depend on its simulation.
-
-        ``log_hastings`` is log q(z | z') - log q(z' | z).
-        """
-        log_prior = self.program.log_prior(sites)
-        known = log_ratio_known(log_prior, log_hastings, state)
-        log_proposal = log_prior if from_prior else np.nan
-        return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
-
-    def one_site_moved(
-        self, key: jax.Array, sites: Sites
-    ) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Draw one site from its prior, given those above; each site with equal probability.
-
-        Returns sites and Hastings' correction, log q(z | z') - log q(z' | z). A move also changes
-        the prior of the sites below; the prior's ratio accounts for that.
-        """
-        model = self.program.model
-        trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
-        key_which, *keys = random.split(key, 1 + len(model.sites))
-        which = random.randint(key_which, (), 0, len(model.sites))
-        proposed, corrections = dict(sites), []
-        for index, (name, key_site) in enumerate(zip(model.sites, keys, strict=True)):
-            new, correction = _redrawn(key_site, trace[name])
-            old = jnp.asarray(sites[name])
-            proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
-            corrections.append(jnp.asarray(correction, jnp.float32))
-        return proposed, jnp.stack(corrections)[which]
-
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
         """Return what the simulation (time,) adds to the log ratio, beside its likelihood.
 
@@ -473,21 +422,22 @@ class MetropolisKernel(EventKernel):
 
 
 class ProposalKernel(MetropolisKernel):
-    """Base of the kernels of the family that only define a proposal."""
-
-    proposes_from_prior: ClassVar[bool] = False
-    """Whether each proposal is a draw from the prior, independent of the state."""
+    """Base of the kernels of the family whose proposal does not look at simulations."""
 
     @abstractmethod
     def proposed(
         self, key: jax.Array, state: MHState
-    ) -> tuple[dict[str, jax.Array], jax.Array | float]:
-        """Return a hypothesis z' and Hastings' correction, log q(z | z') - log q(z' | z)."""
+    ) -> tuple[dict[str, jax.Array], jax.Array, jax.Array | float]:
+        """Return a hypothesis z', log q(z | z') - log q(z' | z), and ``Move.log_proposal``."""
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
-        sites, log_hastings = self.proposed(key_propose, state)
-        move = self.move_to(sites, log_hastings, state, self.proposes_from_prior)
+        sites, log_hastings, log_proposal = self.proposed(key_propose, state)
+        log_prior = self.program.log_prior(sites)
+        # from a start without mass, every completed simulation is accepted
+        known = log_prior - state.log_prior + log_hastings
+        known = jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
+        move = Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
         return self.asked(move, state, key, key_seed, key_accept)
 
 
@@ -499,11 +449,12 @@ class PriorMH(ProposalKernel):
     likelihoods.
     """
 
-    proposes_from_prior = True
-
-    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+    def proposed(
+        self, key: jax.Array, state: MHState
+    ) -> tuple[dict[str, jax.Array], jax.Array, jax.Array | float]:
         sites = self.program.draw_prior(key)
-        return sites, state.log_prior - self.program.log_prior(sites)
+        log_prior = self.program.log_prior(sites)
+        return sites, state.log_prior - log_prior, log_prior
 
 
 @register_kernel("single_site_mh", validity="exact", any_length=True)
@@ -514,5 +465,20 @@ class SingleSiteMH(ProposalKernel):
     sites move like any other, in any hierarchy.
     """
 
-    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        return self.one_site_moved(key, state.z)
+    def proposed(
+        self, key: jax.Array, state: MHState
+    ) -> tuple[dict[str, jax.Array], jax.Array, jax.Array | float]:
+        # the move changes the prior of the sites below too, which the prior's ratio accounts for
+        model = self.program.model
+        trace = handlers.trace(handlers.substitute(model.prior, data=dict(state.z))).get_trace()
+        key_which, *keys = random.split(key, 1 + len(model.sites))
+        which = random.randint(key_which, (), 0, len(model.sites))
+        proposed, corrections = dict(state.z), []
+        for index, (name, key_site) in enumerate(zip(model.sites, keys, strict=True)):
+            site, old = trace[name], jnp.asarray(state.z[name])
+            prior = site["fn"]
+            new = prior.sample(key_site, site["kwargs"].get("sample_shape", ()))
+            back, forth = (jnp.sum(prior.log_prob(value)) for value in (site["value"], new))
+            proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
+            corrections.append(jnp.asarray(back - forth, jnp.float32))
+        return proposed, jnp.stack(corrections)[which], np.nan
