@@ -22,7 +22,6 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.with_arviz import ess, resampled
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference import runs
-from tests.inference.toy import few_goals, walkers
 
 from .factory import (
     BLUE_TO_RED,
@@ -56,29 +55,11 @@ def post() -> Posterior:
 
 # --- what is printed is what ArviZ says ----------------------------------------------------------
 
-OPTIONS: dict[str, dict[str, Any]] = {
-    "enumerate": {"model": ppl.Model(prior=few_goals, simulator=walkers), "iterations": None}
-    | {"strengths": [300.0, 400.0]},
-    "smc": {"move": "prior_mh"},
-}
-QUICK = ("amis", "local_mh", "prior_mh")
-"""Of each kind of draws a kernel that compiles soon: weighted, proposed, from the prior."""
-
 
 @functools.cache
 def run_of(kernel: str, iterations: int) -> Posterior:
     given = {**runs.OPTIONS, "model": runs.MODEL, "kernel": kernel, "iterations": iterations}
-    return ppl.infer(runs.EVENT, **{**given, **OPTIONS.get(kernel, {})})
-
-
-@pytest.fixture(
-    params=[
-        pytest.param(kernel, marks=[] if kernel in QUICK else [pytest.mark.slow])
-        for kernel in ppl.available_kernels()
-    ]
-)
-def kernel(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
+    return ppl.infer(runs.EVENT, **given)
 
 
 def means_of(data: Any) -> dict[str, float]:
@@ -112,6 +93,8 @@ def agrees(post: Any) -> None:
             assert narrow <= high - low <= wide
 
 
+# of each kind of draws: weighted, proposed, from the prior
+@pytest.mark.parametrize("kernel", ["amis", "local_mh", "prior_mh"])
 @pytest.mark.parametrize("iterations", [6, 20])
 def test_arviz_says_what_is_printed_whatever_the_kernel(kernel: str, iterations: int) -> None:
     post = run_of(kernel, iterations)

@@ -156,15 +156,6 @@ def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
     assert f"another goal of red first, '{PINK_TO_BLUE}'" in found["verdict"]
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (15, 6)])
-def test_diagnostics_are_plain_data_and_rates_are_shares(shape: tuple[int, int]) -> None:
-    found = Posterior(random_tree(5, *shape)).diagnostics()
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    for name in ("acceptance_rate", "move_rate", "frames_saved_share"):
-        assert found[name] is None or 0 <= found[name] <= 1
-    assert len(found["acceptance_by_iteration"]) == found["iterations"]
-
-
 def rivals_of(h: Hypothesis) -> list[Hypothesis]:
     """Return those with which one agent wants its item at another landmark."""
     found = []

@@ -229,13 +229,6 @@ def test_chains_that_have_not_come_to_where_the_others_are_do_not_count() -> Non
     assert not alone.leaders()["goal_red"]["sure"]
 
 
-def test_draws_whose_chains_happen_to_agree_are_worth_no_more_than_their_number() -> None:
-    goals = [2, 5] * 15 + [2, 2]
-    post = posterior_of(goals, np.arange(32).reshape(4, 8).tolist())
-    # by how little the chains differ, they would be worth more than there are
-    assert post.diagnostics()["effective_size"] == pytest.approx(32)
-
-
 def test_draws_are_worth_what_those_of_the_less_sure_goal_are() -> None:
     reds = [[2, 5], [5, 2]] * 3 + [[2, 5], [2, 2]]  # and one goal of green in each chain
     pairs = [hypothesis(red, 9 if c < 4 else 12) for c, row in enumerate(reds) for red in row]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from typing import Any
 
@@ -26,7 +25,6 @@ from .factory import (
     make_tree,
     posterior_of,
     random_tree,
-    with_log_weight,
 )
 
 GOAL_SITES = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
@@ -100,18 +98,6 @@ def test_means_intervals_and_entropies(small: Posterior) -> None:
     with pytest.raises(InvalidSettingError, match="at most"):
         small.joint(*LABELS)
     assert small.entropy(*LABELS) > 0, "where a table of the joint would be too large"
-
-
-def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
-    tree = random_tree(2, n_chains=8)
-    shape = tree["posterior"]["goal_red"].shape
-    post = Posterior(with_log_weight(tree, np.random.default_rng(0).normal(0, 2, shape)))
-    table = post.to_dataframe()
-    low, high = post.hdi("strength_red", 0.6).values
-    assert post.probability(strength_red=(low, high)) >= 0.6 - 1e-9
-    for a, b in itertools.combinations(sorted(table["strength_red"]), 2):
-        if b - a < high - low - 1e-9:
-            assert table["weight"][table["strength_red"].between(a, b)].sum() < 0.6
 
 
 def test_top_goals_come_in_order_and_ties_in_label_order() -> None:
@@ -236,23 +222,6 @@ def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> Non
     assert table["same_goal"].tolist() == [True, True, False, False]
     assert table["helpers"].tolist() == [0, 1, 0, 0]
     assert "same_goal" not in small.quantities
-
-
-def test_a_definition_sees_labels_numbers_and_the_pair_alpha_once_per_hypothesis() -> None:
-    hypotheses = [hypothesis(alpha=(1, 0)), hypothesis()]
-    seen: list[Any] = []
-    posterior_of(hypotheses, [[0, 0, 1, 0]], own_site=[3, 4]).define(
-        "looked",
-        lambda h: (
-            not seen.append(
-                (h.goal_red, h.relation, h.alpha, h.strength_red, h.mood, h.landmark_red)
-            )
-        ),
-    )
-    assert seen == [
-        (PINK_TO_BLUE, "friendly", (1, 0), 300.0, 3, "blue lm"),
-        (BLUE_TO_RED, "neutral", (0, 0), 300.0, 4, "red lm"),
-    ]
 
 
 def _fails(h: object) -> bool:

@@ -288,25 +288,6 @@ def test_prefixes_worked_out_by_hand() -> None:
     check_by_hand(tree, np.array([truncated(mass / mass.sum())[0] for mass in masses]))
 
 
-@pytest.mark.parametrize(("densities", "prior"), [(False, False), (True, False), (True, True)])
-def test_at_the_last_frame_it_is_the_posterior(densities: bool, prior: bool) -> None:
-    tree, rng = tree_by_frame(), np.random.default_rng(0)
-    if densities:
-        simulations = tree["simulations"].to_dataset()
-        n = simulations.sizes["simulation"]
-        first = simulations["iteration"].values == 0
-        at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
-        tree = with_densities(tree, rng.normal(-10, 1, n), np.where(first, np.inf, at_end))
-    if prior:
-        tree = with_prior(tree, rng.random((36, 36)))
-    weights = "stratified" if prior else "count"  # by densities of proposals, where it can be
-    found, post = Posterior(tree).over_time(), Posterior(tree, weights)
-    assert found.attrs["weights"] == weights
-    for name in FOLLOWED:
-        np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
-        np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
-
-
 def test_later_frames_change_nothing_before_them() -> None:
     tree = with_densities(tree_by_frame(), -10.0)
     tree = with_prior(tree, np.random.default_rng(0).random((36, 36)))

@@ -25,8 +25,6 @@ from phase_ppl.inference.kernels.metropolis import through
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.inference.tables import (
     BottomUpTables,
-    bottom_up_tables,
-    goal_distances,
     window_count,
 )
 from phase_ppl.models import world_priors
@@ -228,18 +226,6 @@ def test_draws_visit_roles_as_often_as_the_posterior_says() -> None:
     expected = 0.5 * np.sqrt(2 / np.pi) * (share.std(axis=0, ddof=1) / np.sqrt(CHAINS)).sum()
     assert expected < 0.09
     assert total_variation(share.mean(axis=0), exact()) < 2 * expected
-
-
-def test_goals_that_come_closer_are_proposed() -> None:
-    event = walking()
-    distance = goal_distances(event.scene, event.observation)
-    assert distance.shape == (event.observation.n_frames, 1, len(SOLO.goals))
-    way = distance[-1, 0] - distance[0, 0]
-    truth = SOLO.goal_index(TRUE_GOAL)
-    assert way.argmin() == truth
-    tables = bottom_up_tables(event.scene, event.observation, ppl.SimpleSettings())
-    logits = np.asarray(tables.goal_logits)[:-1, 0]
-    assert (logits.argsort(axis=1)[:, ::-1][:, :8] == truth).any(axis=1).all()
 
 
 # --- whole runs ----------------------------------------------------------------------------------

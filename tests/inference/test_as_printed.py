@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import Any
 
 import jax
@@ -19,9 +18,8 @@ from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.weighted import Importance
-from phase_ppl.inference.run import Run
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables, window_count
-from phase_ppl.models.density import compiled_quickly, draw, log_density
+from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidSettingError
@@ -33,10 +31,8 @@ from tests.inference.toy import (
     START,
     TableRunner,
     moving,
-    never_called,
     table_errors,
     table_program,
-    walking_event,
 )
 
 PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed", unit="printed", prior_share=0.0)
@@ -107,25 +103,6 @@ def guide(prior_share: float) -> Guide:
     return bottom_up_guide(strong, Model(prior=strong).sites, tables, prior_share=prior_share)
 
 
-def test_without_a_share_of_the_prior_nothing_is_proposed_that_windows_exclude() -> None:
-    drawn, density = {}, {}
-
-    def found(local: Guide, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
-        z = jax.vmap(lambda key: draw(local, key, jnp.array(0)))(keys)
-        red = z["strength_red"]
-        one = {name: values[0] for name, values in z.items()}
-        beyond = one | {"strength_red": jnp.maximum(red[0], 650.0)}
-        return red, log_density(local, beyond, jnp.array(0))
-
-    keys = random.split(random.key(0), 2000)
-    for share in (0.0, 0.1):
-        of_share = compiled_quickly(functools.partial(found, guide(share)))
-        drawn[share], density[share] = of_share(keys)
-    assert drawn[0.0].max() < 600 < drawn[0.1].max()
-    assert np.isneginf(density[0.0])
-    assert np.isfinite(density[0.1])
-
-
 def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() -> None:
     runner = TableRunner(table_errors())
     program, _bridge = table_program(runner, strong)
@@ -165,9 +142,3 @@ def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior(kernel: An
     with pytest.raises(InvalidSettingError, match=r"prior_share=0 for .*rule='paper'"):
         _ = kernel(program, guide(0.0), settings).guide
     assert LocalMH(program, guide(0.0), settings, rule="paper").guide
-
-
-def test_a_run_that_would_divide_by_it_is_refused_before_anything_is_simulated() -> None:
-    run = Run(walking_event(5), Model(simulator=never_called), "local_mh", {}, PRINTED, 2, 0)
-    with pytest.raises(InvalidSettingError, match=r"prior_share=0 for LocalMH"):
-        run.check(1, None)

@@ -185,17 +185,6 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert_same_draws(whole.tree, post.tree)
 
 
-def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None:
-    arrays, results = read_archive(path)[1], [record.result for record in Checkpoint(path).records]
-    assert arrays["records/trajectory"].dtype == np.float32
-    assert len(arrays["records/trajectory"]) == sum(r.frames_simulated for r in results)
-    for result in results:
-        n = result.frames_simulated
-        assert np.isfinite(result.trajectory[:n]).all()
-        assert np.isnan(result.trajectory[n:]).all()
-        assert np.isinf(result.errors[n:]).all()
-
-
 # --- another run -----------------------------------------------------------------------------
 
 

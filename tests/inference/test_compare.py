@@ -297,17 +297,14 @@ REFUSED, UNKNOWN = InvalidSettingError, UnknownNameError
 SPEED = ("prior_mh", {"speed": 3})
 WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"kernels": ["prior_hm"]}, UNKNOWN, "prior_mh"),
-    ({"kernels": []}, REFUSED, "empty"),
     ({"kernels": ["prior_mh", "prior_mh"]}, REFUSED, "called 'prior_mh'"),
     ({"kernels": {"a": "prior_mh", "b": SPEED}}, REFUSED, "b: .*speed"),
     ({"kernels": {"pairs": even_only}, "chains": 5}, REFUSED, "pairs: .*5 chains.*must be even"),
     ({"budget": ppl.simulations(7)}, REFUSED, "early: .*too small"),
     ({"budget": 24}, REFUSED, "budget=24"),
     ({"kernels": {"a": ("prior_mh", {"seed": 3})}}, REFUSED, "same for all"),
-    ({"kernels": [("prior_mh", 3)]}, REFUSED, "is no kernel"),
     ({"reference": "prior_mh"}, REFUSED, "reference='prior_mh', expected 'enumeration'"),
     ({"reference": ("enumeration", {"per_pair": 5})}, REFUSED, "per_pair=5, expected an even"),
-    ({"reference": ("enumeration", {"pairs": 6})}, REFUSED, "per_pair"),
     ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
     ({"settings": ppl.SimpleSettings(beta=0.1)}, REFUSED, "likelihood"),
 ]

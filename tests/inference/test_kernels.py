@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from phase_ppl.inference.kernels.local_mh import (
     EXACT_RULES,
     RULES,
-    LocalMH,
     Rule,
     log_after,
     log_after_bound,
@@ -26,12 +25,9 @@ from phase_ppl.inference.kernels.metropolis import PriorMH, log_ratio
 from phase_ppl.inference.run import Run
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.world.errors import UnknownNameError
 from tests.inference.toy import (
     SETTINGS,
-    TableRunner,
     table_errors,
-    table_program,
     total_variation,
     walkers,
     walking_event,
@@ -157,9 +153,3 @@ def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows() -> N
         for window in (0, TIME - LENGTH - 1):
             after = log_after(rule, window, log_q, log_windows)
             assert after <= log_after_bound(rule, log_q) + 1e-5
-
-
-def test_what_cannot_be_is_refused() -> None:
-    program, _bridge = table_program(TableRunner(ERRORS))
-    with pytest.raises(UnknownNameError, match="rule"):
-        LocalMH(program, rule="papr")  # type: ignore[arg-type]

@@ -120,17 +120,6 @@ def test_open_settings_are_settled_by_the_world_alone() -> None:
             assert settled(walking_event(), model, kernel) == ("learned", "network")
 
 
-def test_what_is_for_sampling_is_refused_where_no_kernel_is_named() -> None:
-    scene = ppl.worlds.SOLO.random_scene(0)
-    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3)
-    for given in ({"settings": ppl.SimpleSettings()}, {"chains": 2}, {"rule": "paper"}):
-        with pytest.raises(InvalidSettingError, match=r'add kernel="local_mh", which is SIMPLE'):
-            ppl.infer(event, **given)  # type: ignore[call-overload]
-    radial = ppl.Model(likelihood=ppl.RadialLikelihood(0.1))
-    with pytest.raises(InvalidSettingError, match="takes a kernel that samples"):
-        ppl.infer(event, radial)
-
-
 def test_infer_takes_single_settings_and_writes_the_word_down(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

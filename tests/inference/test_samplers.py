@@ -236,14 +236,6 @@ def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     cells = np.searchsorted([-0.9674, 0.0, 0.9674], scores)
     expected = np.bincount(cells @ [4, 1], minlength=16).reshape(4, 4) / len(scores)
     np.testing.assert_allclose(found, expected, atol=0.004)
-    # a strength that is given twice has its mass once
-    twice = hypothesis_grid(Model(prior="correlated_strengths"), [600.0, 150, 150])
-    weak = (twice.sites["strength_red"] == 150) & (twice.sites["strength_green"] == 150)
-    whole = hypothesis_grid(Model(prior="correlated_strengths"), [150.0, 600])
-    once = (whole.sites["strength_red"] == 150) & (whole.sites["strength_green"] == 150)
-    assert np.exp(twice.log_prior)[weak].sum() == pytest.approx(
-        np.exp(whole.log_prior)[once].sum(), rel=1e-3
-    )
 
 
 # --- what is refused ---------------------------------------------------------------------------

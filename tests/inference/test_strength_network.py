@@ -149,7 +149,6 @@ def test_weights_survive_saving_and_damaged_files_are_refused_by_name(tmp_path: 
     [
         ({"weight_2": np.zeros((3, 3))}, r"weight_2 has shape \(3, 3\), expected \(64, 64\)"),
         ({"bias_3": np.array([0.0, np.nan])}, "bias_3 .* finite"),
-        ({"bias_3": np.array(["a", "b"])}, "bias_3 .* finite"),
         ({"scale": np.zeros(N_FEATURES)}, "scale .* not positive"),
         ({"bias_2": None}, "bias_2 is missing"),
     ],
@@ -198,9 +197,6 @@ def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, messa
         estimated_strengths(
             lambda *_: StrengthEstimates(mean, sd), EVENT.scene, EVENT.observation, ALL
         )
-
-
-# --- quality -----------------------------------------------------------------------------------
 
 
 # --- training -------------------------------------------------------------------------------------

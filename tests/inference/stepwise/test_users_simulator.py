@@ -266,17 +266,6 @@ def test_another_prior_is_another_run_and_a_file_says_the_same(
     )
 
 
-def test_pairs_of_goals_have_what_frames_say_whatever_the_strengths(
-    exact: ppl.StepwisePosterior,
-) -> None:
-    frames = exact.by_frame()
-    assert frames is not None
-    with np.errstate(invalid="ignore"):
-        mass = np.exp(frames["log_prior"].values + frames["log_likelihood"].values.sum(axis=0))
-    found = np.nan_to_num(mass / np.nansum(mass))
-    np.testing.assert_allclose(found, exact.joint("goal_red", "goal_green"), atol=1e-9)
-
-
 def test_what_frames_say_of_strengths_depends_on_goals(exact: ppl.StepwisePosterior) -> None:
     goals = (ppl.GOALS[goal] for goal in RED_GOALS)
     means = [float(exact.mean("strength_red", given={"goal_red": goal})) for goal in goals]

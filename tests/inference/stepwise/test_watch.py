@@ -187,17 +187,6 @@ def test_impossible_videos_are_called_out(whole: ppl.StepwisePosterior) -> None:
     assert "Bodies lie on each other" in found[1]["verdict"]
 
 
-def test_the_registered_model_predicts(tmp_path: Path) -> None:
-    found = ppl.evaluate([short(4)], "stepwise", out=tmp_path / "out", workers=1, planner=QUICK)
-    (prediction,) = found.predictions.values()
-    assert prediction.probabilities["goal_red"].sum() == pytest.approx(1)
-    assert prediction.cost["searches"] > 0
-    kept = ppl.load_posterior(next((tmp_path / "out").glob("events/*/posterior.nc")))
-    assert kept.event_id == "collaborate"
-    with pytest.raises(InvalidSettingError, match="sharpnes"):
-        ppl.evaluate([short(4)], "stepwise", sharpnes=2)
-
-
 @pytest.mark.usefixtures("unpainted")
 def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     event = tmp_path / "event.json"
