@@ -235,5 +235,3 @@ def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(
     axes = plots.comparison(frames).axes[0]
     assert axes.get_xlabel() == "simulated frames"
     assert max(axes.lines[0].get_xdata()) == 6000  # type: ignore[arg-type]
-    with pytest.raises(UnknownNameError, match="tv_goals"):
-        plots.comparison(c, measures=("tv_goal",))

@@ -53,7 +53,7 @@ EVENT = ppl.load_event("collaborate")
 
 
 def test_what_is_seen_is_as_it_is_in_all_particles_and_the_rest_differs() -> None:
-    for frame, belief in enumerate(beliefs_of(EVENT, 0, 10)):
+    for frame, belief in enumerate(beliefs_of(EVENT, 0)):
         truth = EVENT.observation.trajectory[frame]
         assert belief.observed[0], "an agent knows itself"
         seen = belief.particles[:, belief.observed, :2]
@@ -69,7 +69,7 @@ def test_it_shows_the_frame_in_which_something_new_is_seen(tmp_path: Path) -> No
     figure = ppl.plot.beliefs(EVENT, path=file)
     assert file.stat().st_size > 20_000
     assert len(figure.axes) == 6
-    found = list(beliefs_of(EVENT, 0, 10))
+    found = list(beliefs_of(EVENT, 0))
     first = discovery(found)
     assert first is not None
     new = np.flatnonzero(found[first].observed & ~found[first - 1].observed)

@@ -24,10 +24,9 @@ from phase_ppl.world.scene import PHASE, Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
+_PARTICLES: Final = 10  # K in the figure of the paper
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
-_MOST_PARTICLES: Final = 1000
 _APART: Final = 4.0  # distance between particles, units, from which a place counts as unknown
 
 
@@ -39,7 +38,7 @@ class Belief(NamedTuple):
     particles: FloatArray  # (particle, entity, coord) x, y [units], angle [rad]
 
 
-def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Iterator[Belief]:
+def beliefs_of(event: Event, agent: int) -> Iterator[Belief]:
     """Yield an agent's view and belief in each frame of an event.
 
     It is the belief of the simulator's agents, given the true states as far as the observation
@@ -52,10 +51,10 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
     from phase_ppl.physics.compiled import from_state, to_state
 
     scene, frames = event.scene, event.observation.trajectory
-    config = dataclasses.replace(PlannerConfig.fast(), particles=particles)
+    config = dataclasses.replace(PlannerConfig.fast(), particles=_PARTICLES)
     strength = float(np.mean(STRENGTH_RANGE))
     model = WorldModel.of(scene, (strength, strength), config)
-    perception = Perception(agent, model, config, np.random.default_rng(seed))
+    perception = Perception(agent, model, config, np.random.default_rng(0))
     moved = np.diff(frames, axis=0, prepend=frames[:1]) * FRAMES_PER_SECOND
     held = items_held(frames, scene.radius)
     for poses, rates, items in zip(frames, moved, held, strict=True):
@@ -90,22 +89,18 @@ def beliefs(
     path: str | os.PathLike[str] | None = None,
     *,
     frame: int | None = None,
-    particles: int = PAPERS_PARTICLES,
-    seed: int = 0,
 ) -> Figure:
     """Draw an agent's belief before and after a frame: what it sees, all particles, one of them.
 
     The truth is not used. ``frame`` is the second of the two, by default the first in which the
-    agent sees something new; the paper's figure has K = 10 ``particles``.
+    agent sees something new. There are K = 10 particles, as in the paper's figure.
 
     Raises:
         UnknownNameError: there is no such agent.
         InvalidSettingError: there is no such frame, or nothing new is ever seen.
     """
     who = PHASE.agent(agent)
-    whole_number("particles", particles, maximum=_MOST_PARTICLES)
-    whole_number("seed", seed, 0)
-    found = list(beliefs_of(event, who, particles, seed))
+    found = list(beliefs_of(event, who))
     if frame is None:
         frame = discovery(found)
         if frame is None:
@@ -121,7 +116,7 @@ def beliefs(
     )
     panels = figure.subplots(2, 3)
     radius, truth = event.scene.radius, event.observation.trajectory
-    titles = f"true state, and what the {agent} sees", f"all {particles} particles", "one of them"
+    titles = f"true state, and what the {agent} sees", f"all {_PARTICLES} particles", "one of them"
     for axes, title, letter in zip(panels[0], titles, "ABC", strict=True):
         axes.set_title(f"{letter}  {title}", fontsize=NORMAL)
     # the particle whose unseen entities moved farthest
@@ -162,23 +157,12 @@ the left; a room close to green lies above. Walls go up, left, down, right."""
 _SIZE: Final = 0.8
 _STEPS: Final = 100
 _STATIONS: Final = 6
+_COST_WEIGHTS: Final = (0.0, 0.05)
 
 
 @in_style
-def search(
-    path: str | os.PathLike[str] | None = None,
-    *,
-    cost_weights: Sequence[float] = (0.0, 0.05),
-    planner: str = "fast",
-    seed: int = 0,
-) -> Figure:
-    """Draw the green agent's search for an item under different weights of path cost.
-
-    There is a panel for each of ``cost_weights``, lambda; the paper's are 0 and 0.05.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
-    """
+def search(path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw the green agent's search for an item under the paper's weights of path cost, lambda."""
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.data.generation.situation import walls_of_lengths
     from phase_ppl.simulator.joint import simulate
@@ -187,15 +171,15 @@ def search(
     scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), walls)
     hypothesis = Hypothesis(*_SEARCH["goals"])
     figure = new_figure(
-        *(3.6 * len(cost_weights), 3.9),
+        *(3.6 * len(_COST_WEIGHTS), 3.9),
         note="The green agent wants the blue item, which it does not see. Numbers: moments in "
         "order; arrows: where it looks.",
     )
     green = AGENTS.index("green agent")
-    panels = figure.subplots(1, len(cost_weights), squeeze=False)[0]
-    for axes, weight, letter in zip(panels, cost_weights, "ABCDEFGH", strict=False):
-        config = dataclasses.replace(PlannerConfig.named(planner), cost_weight=weight)
-        event = simulate(scene, hypothesis, frames=_STEPS, seed=seed, planner=config)
+    panels = figure.subplots(1, len(_COST_WEIGHTS))
+    for axes, weight, letter in zip(panels, _COST_WEIGHTS, "AB", strict=True):
+        config = dataclasses.replace(PlannerConfig.fast(), cost_weight=weight)
+        event = simulate(scene, hypothesis, frames=_STEPS, seed=0, planner=config)
         frames = event.observation.trajectory
         holds = items_held(frames, scene.radius)[:, green] != NOTHING
         end = int(holds.argmax()) if holds.any() else len(frames) - 1

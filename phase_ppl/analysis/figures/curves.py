@@ -1,4 +1,4 @@
-"""Figures of kernels over simulations, of how chains went, of trainings and of sets of events."""
+"""Figures of kernels over simulations, of how chains went, and of sets of events."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ from phase_ppl.analysis.figures.style import (
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import check_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,14 +38,9 @@ if TYPE_CHECKING:
 STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
 """Lines of the kernels, for those beyond the colours."""
 
-HEADINGS: Final = {
+_HEADINGS: Final = {
     "tv_goals": ("Distance from the reference", "total variation of a goal's marginal"),
-    "tv_relation": ("Distance of the relation", "total variation of the relation's marginal"),
     "p_goals": ("Belief in the true goals", "probability of an agent's true goal"),
-    "p_pair": ("Belief in the true pair", "probability of the true pair of goals"),
-    "p_relation": ("Belief in the true relation", "probability of the true relation"),
-    "map_goals": ("Accuracy", "share of agents whose leading goal is right"),
-    "map_relation": ("Accuracy", "share of runs whose leading relation is right"),
 }
 """Measure -> title and label of its axis."""
 
@@ -54,26 +48,17 @@ _POINTS: Final = 200
 
 
 @figure_of(Comparison)
-def comparison(
-    c: Comparison,
-    path: str | os.PathLike[str] | None = None,
-    *,
-    measures: tuple[str, ...] = ("tv_goals", "p_goals"),
-) -> Figure:
-    """Draw measures of accuracy against simulations, a line per kernel; 4.6 inches a panel.
+def comparison(c: Comparison, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw goals' distance from the reference and belief in the true ones against simulations.
+
+    A line per kernel; 4.6 inches a panel. ``c.curve`` has further measures.
 
     With a budget of frames the axis is frames. Lines are means over repeats, bands their standard
     errors. A kernel that keeps its last population only is a point with a bar. A dashed line is the
     reference's own probability of the truth. Distances in the grey area at the bottom are smaller
-    than the distance between the reference's halves. ``measures`` are of :data:`HEADINGS`, one
-    panel each; those without values are left out.
-
-    Raises:
-        UnknownNameError: there is no such measure.
+    than the distance between the reference's halves. A panel without values is left out.
     """
-    for name in measures:
-        check_name("measure", name, HEADINGS)
-    drawn = [name for name in measures if c.curve[name].notna().any()]
+    drawn = [name for name in _HEADINGS if c.curve[name].notna().any()]
     repeats = c.runs.groupby("kernel").size()
     words = f"{repeats.min()}" if repeats.min() == repeats.max() else "several"
     note = f"{c.settings['event']}: mean and standard error of {words} runs each"
@@ -105,7 +90,7 @@ def _compared(axes: Axes, c: Comparison, name: str) -> None:
     if reference is not None:
         axes.axhline(reference, color=GREY, lw=0.9, ls=(0, (4, 3)), zorder=1)
         ends.append((reference, "reference", GREY))
-    titled(axes, *HEADINGS[name])
+    titled(axes, *_HEADINGS[name])
     axes.set_xlabel("simulated frames" if unit == "frames" else unit)
     axes.set_xlim(0, furthest * 1.02)
     axes.set_ylim(0, min(1.02, max(axes.get_ylim()[1], 0.05)))
