@@ -17,7 +17,6 @@ import phase_ppl
 from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, labels, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
-from phase_ppl.closed_loop.users_simulator import SimulatorFilter
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.prior_masses import PriorMasses
@@ -41,7 +40,7 @@ from phase_ppl.world.tracks import Clock
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
+    from phase_ppl.closed_loop.users_simulator import SimulatorFilter
 
 _COUNTED: Final = ("searches", "calls")  # what it cost
 
@@ -133,6 +132,8 @@ class Watch:
         return GoalFilter(sets, likelihood.policy, self._weight, followed, log_goals)
 
     def _simulator_filter(self) -> SimulatorFilter:
+        from phase_ppl.closed_loop.users_simulator import SimulatorFilter
+
         levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))
         asked = self._prior_masses(np.array(list(levels))).to_read()
         self._constant |= {"combinations": asked.combinations, "goals": asked.goals}

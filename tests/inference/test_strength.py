@@ -1,39 +1,231 @@
+"""Estimators of strengths: the network with its training, and the analytic rule."""
+
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
+import json
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-
-from phase_ppl.data.load import load_events
-from phase_ppl.inference.strength import (
-    VALIDATION_SD,
-    analytic_strengths,
-    network_strengths,
+from strength_training import (
+    Simulated,
+    blurred,
+    main,
+    quality,
+    simulate_events,
 )
+
+from phase_ppl.data.load import bundled_events, load_event, load_events
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.strength import (
+    N_FEATURES,
+    SHAPES,
+    VALIDATION_SD,
+    StrengthEstimates,
+    StrengthNetwork,
+    analytic_strengths,
+    estimated_strengths,
+    estimator_name,
+    network_strengths,
+    observed_jitter,
+    shipped_network,
+    window_features,
+)
+from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.scene import Scene
 
 PHASE_TEST = Path("../shared/phase-test/dev.json")
+EVENT = load_event("collaborate")
+TRAJECTORY = EVENT.observation.trajectory
+RADIUS = EVENT.scene.radius
+ALL = np.array([[0, len(TRAJECTORY) - 1]])
+PRIOR_LOG_DENSITY = -np.log(450.0)
+
+
+def no_weights() -> dict[str, np.ndarray]:
+    weights = {name: np.zeros(shape) for name, shape in SHAPES.items()}
+    return weights | {"scale": np.ones(SHAPES["scale"])}
+
+
+# --- features ----------------------------------------------------------------------------------
+
+
+def test_features_are_finite_for_the_shortest_observations() -> None:
+    for n_frames in (2, 3, 4, 7):
+        windows = np.array([[0, n_frames - 1], [0, 1], [n_frames - 2, n_frames - 1]])
+        features = window_features(TRAJECTORY[:n_frames], RADIUS, windows)
+        assert features.shape == (3, 2, N_FEATURES)
+        assert np.isfinite(features).all()
+
+
+def test_features_do_not_depend_on_place_or_direction() -> None:
+    windows = np.array([[0, 12], [5, 40]])
+    turned = TRAJECTORY[..., [1, 0, 2]] * [-1, 1, 1] + [3.0, -7.0, np.pi / 2]
+    reflected = TRAJECTORY * [-1, 1, -1]
+    reference = window_features(TRAJECTORY, RADIUS, windows)
+    for moved in (turned, reflected):
+        np.testing.assert_allclose(
+            window_features(moved, RADIUS, windows), reference, rtol=1e-3, atol=1e-3
+        )
+
+
+def test_window_knows_only_its_own_frames_but_for_the_jitter() -> None:
+    changed = TRAJECTORY.copy()
+    changed[30:] = changed[:29:-1]  # as much rest and motion as before
+    windows = np.array([[4, 20]])
+    before, after = (window_features(t, RADIUS, windows)[0] for t in (TRAJECTORY, changed))
+    of_jitter = [2, 3]
+    assert np.abs(np.delete(before - after, of_jitter, axis=1)).max() < 0.02
+    assert np.abs(before - window_features(TRAJECTORY, RADIUS, windows + 8)[0]).max() > 0.5
+
+
+def test_jitter_blurs_by_the_stated_amounts_and_is_read_off_what_rests() -> None:
+    noise = blurred(np.zeros((4000, 4, 3)), 0.2, np.random.default_rng(0), angle=0.5)
+    np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.2, 0.2, 0.1], rtol=0.05)
+    for jitter in (0.02, 0.1, 0.3):
+        seen = blurred(TRAJECTORY, jitter, np.random.default_rng(0))
+        assert jitter < observed_jitter(seen).position < 1.6 * jitter
+
+
+# --- the network -------------------------------------------------------------------------------
+
+
+def test_forward_pass_equals_one_worked_by_hand() -> None:
+    weights = no_weights()
+    weights["centre"][3], weights["scale"][3] = 1.0, 2.0
+    weights["weight_1"][3, 0], weights["bias_1"][0] = 3.0, -1.0
+    weights["weight_2"][0, 5], weights["bias_2"][5] = 0.5, 0.5
+    weights["weight_1"][3, 1], weights["weight_2"][1, 5] = -1.0, 100.0  # cut by the ReLU
+    weights["weight_3"][5], weights["bias_3"][:] = (1.0, -1.0), (np.log(3) - 3, 3.0)
+    features = np.zeros(N_FEATURES)
+    features[3] = 5.0  # 2 once scaled; 5 and 0 in the first layer; 3 in the second
+    mean, sd = StrengthNetwork(weights).outputs(features)
+    assert mean == pytest.approx(150 + 0.75 * 450)
+    assert sd == pytest.approx(np.sqrt(5 * 800))
+
+
+def test_shipped_network_beats_the_prior_on_new_events() -> None:
+    events, window = simulate_events(6, 36, seed=20_000), np.array([[0, 35]])
+    for jitter, gain in ((0.0, 0.8), (0.1, 0.4)):
+        rng = np.random.default_rng(0)
+        found = [
+            shipped_network().outputs(window_features(blurred(t, jitter, rng), radius, window))
+            for t, radius in zip(events.trajectory, events.radius, strict=True)
+        ]
+        mean, sd = (np.concatenate(part) for part in zip(*found, strict=True))
+        judged = quality(StrengthEstimates(mean, sd), events.strength)
+        assert judged.log_density > PRIOR_LOG_DENSITY + gain
+
+
+def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sure() -> None:
+    resting = Observation(np.repeat(TRAJECTORY[:1], 30, axis=0))
+    windows = np.array([[0, 29], [0, 10]])
+    assert (estimated_strengths("network", EVENT.scene, resting, windows).sd > 100).all()
+    clear, blur = (
+        estimated_strengths("network", EVENT.scene, Observation(seen), ALL).sd
+        for seen in (TRAJECTORY, blurred(TRAJECTORY, 0.3, np.random.default_rng(0)))
+    )
+    assert (blur > 2 * clear).all()
+
+
+# --- files of weights --------------------------------------------------------------------------
+
+
+def test_weights_survive_saving_and_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.npz"
+    shipped_network().save(whole)
+    features = window_features(TRAJECTORY, RADIUS, ALL)
+    again = StrengthNetwork.load(whole)
+    np.testing.assert_array_equal(again.outputs(features), shipped_network().outputs(features))
+    content = whole.read_bytes()
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 0xFF
+    for damaged in (content[: len(content) // 2], bytes(flipped), b"no weights", b"", None):
+        whole.write_bytes(damaged) if damaged is not None else whole.unlink()
+        with pytest.raises(InvalidSettingError, match=r"whole\.npz"):
+            StrengthNetwork.load(whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weight_2": np.zeros((3, 3))}, r"weight_2 has shape \(3, 3\), expected \(64, 64\)"),
+        ({"bias_3": np.array([0.0, np.nan])}, "bias_3 .* finite"),
+        ({"scale": np.zeros(N_FEATURES)}, "scale .* not positive"),
+        ({"bias_2": None}, "bias_2 is missing"),
+    ],
+)
+def test_arrays_that_cannot_be_weights_are_refused(change: dict[str, Any], message: str) -> None:
+    changed = {k: v for k, v in (no_weights() | change).items() if v is not None}
+    with pytest.raises(InvalidSettingError, match=message):
+        StrengthNetwork(changed)
+
+
+def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    shipped_network.cache_clear()
+    for name in bundled_events():
+        event = load_event(name)
+        tables = bottom_up_tables(event.scene, event.observation, SimpleSettings())
+        assert np.isfinite(tables.strength_sd).any()
+
+
+# --- the slot ----------------------------------------------------------------------------------
+
+
+def test_settings_take_names_functions_and_networks() -> None:
+    mine = StrengthNetwork(no_weights())
+    tables = bottom_up_tables(EVENT.scene, EVENT.observation, SimpleSettings(strength=mine))
+    np.testing.assert_allclose(tables.strength, 375.0)
+    assert estimator_name(mine).endswith("StrengthNetwork")
+    assert estimator_name("analytic") == "analytic"
+    with pytest.raises(UnknownNameError, match="'networks'; did you mean 'network'"):
+        SimpleSettings(strength="networks")
+    with pytest.raises(InvalidSettingError, match="strength=3"):
+        SimpleSettings(strength=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "message"),
+    [
+        (np.zeros(2), np.ones((1, 2)), r"shapes \(2,\) and \(1, 2\), expected \(1, 2\)"),
+        (np.full((1, 2), 300.0), np.zeros((1, 2)), "standard deviation 0"),
+        (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
+        (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
+    ],
+)
+def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        estimated_strengths(
+            lambda *_: StrengthEstimates(mean, sd), EVENT.scene, EVENT.observation, ALL
+        )
+
+
+# --- the analytic rule ----------------------------------------------------------------------------
 
 # red faces right with 20 units of free way, green faces up
 START = np.array([[7.0, 12.0, -np.pi / 2], [20.0, 4.0, 0.0], [8.0, 20.0, 0.0], [24.0, 20.0, 0.0]])
-SCENE = Scene(START, np.array([1.2, 0.8, 0.8, 0.8]))
+PLACE = Scene(START, np.array([1.2, 0.8, 0.8, 0.8]))
 
 
 def driven(
-    strengths: tuple[float, float], actions: list[tuple[Action, Action]], scene: Scene = SCENE
+    strengths: tuple[float, float], actions: list[tuple[Action, Action]], scene: Scene = PLACE
 ) -> np.ndarray:
     world = PymunkWorld(scene, strengths)
     return np.array([START, *(world.step((int(a), int(b))) for a, b in actions)])
 
 
 def estimate(
-    trajectory: np.ndarray, first: int = 0, last: int | None = None, scene: Scene = SCENE
+    trajectory: np.ndarray, first: int = 0, last: int | None = None, scene: Scene = PLACE
 ) -> np.ndarray:
     windows = np.array([[first, len(trajectory) - 1 if last is None else last]])
     return analytic_strengths(scene, Observation(trajectory), windows).mean[0]
@@ -42,7 +234,7 @@ def estimate(
 @pytest.mark.parametrize("resets", [False, True])
 @pytest.mark.parametrize("level", STRENGTH_LEVELS)
 def test_free_forward_driving_gives_the_strength_away(level: float, resets: bool) -> None:
-    scene, strengths = dataclasses.replace(SCENE, resets_velocity=resets), (level, 750.0 - level)
+    scene, strengths = dataclasses.replace(PLACE, resets_velocity=resets), (level, 750.0 - level)
     trajectory = driven(strengths, [(Action.UP, Action.UP)] * 5, scene)
     np.testing.assert_array_equal(estimate(trajectory, scene=scene), strengths)
     assert np.isnan(estimate(trajectory[:1].repeat(4, axis=0), scene=scene)).all()
@@ -79,3 +271,35 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
     assert len(known) >= 55
     assert (known == 0).mean() > 0.95
     assert np.sqrt((known**2).mean()) == pytest.approx(VALIDATION_SD, abs=5)
+
+
+# --- training -------------------------------------------------------------------------------------
+
+
+def driving(n: int = 20, frames: int = 16) -> Simulated:
+    """Both agents go straight up, the faster the stronger; the items rest."""
+    rng = np.random.default_rng(0)
+    strength = rng.uniform(150, 600, (n, 2))
+    trajectory = np.zeros((n, frames, 4, 3), np.float32)
+    trajectory[..., 0] = [8, 12, 18, 22]
+    trajectory[:, :, :2, 1] = np.arange(frames)[:, None] * strength[:, None] / 1000
+    return Simulated(trajectory, np.full((n, 4), 0.8), strength)
+
+
+HAS_TORCH = importlib.util.find_spec("torch") is not None
+with_torch = pytest.mark.skipif(not HAS_TORCH, reason="PyTorch, the extra neural, is not installed")
+
+
+@with_torch
+def test_command_writes_weights_that_load_and_a_report(tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / "events.npz",
+        allow_pickle=False,
+        settings=json.dumps({"events": 20, "frames": 16, "seed": 0}),
+        **driving()._asdict(),
+    )
+    options = ["--events-file", str(tmp_path / "events.npz"), "--epochs", "1", "--rounds", "1"]
+    main([str(tmp_path / "out"), "--events", "20", "--frames", "16", *options])
+    StrengthNetwork.load(tmp_path / "out" / "strength_weights.npz")
+    report = json.loads((tmp_path / "out" / "strength_weights.json").read_text())
+    assert report["settings"]["events"] == 20
