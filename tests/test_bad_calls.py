@@ -30,7 +30,6 @@ GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
 
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "event": (lambda: ppl.infer(3), "3 is no event; phase_ppl.load_event reads one"),
-    "event file": (lambda: ppl.infer("a.json"), "a.json"),
     "model": (lambda: ppl.infer(EVENT, model="simple"), "model='simple', expected a phase_ppl.M"),
     "checkpoint": (lambda: sample(EVENT, checkpoint=3), "3 is no path"),
     "chains": (lambda: sample(EVENT, MODEL, chains=10**9, workers=1), "GB of memory"),

@@ -14,7 +14,7 @@ from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import run, sampler
 from phase_ppl.inference.kernels.metropolis import PriorMH
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from tests.inference import runs
 from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws
 from tests.inference.toy import characters, never_called, walkers
@@ -123,6 +123,15 @@ def test_only_scene_and_observation_change_the_posterior(
     assert not np.array_equal(*errors)
     assert run.compiled.cache_info().misses == compiled, "events share the compiled programs"
     assert capsys.readouterr().err == "", "no bar was asked for"
+
+
+def test_an_event_may_be_given_by_its_name() -> None:
+    options = {**runs.OPTIONS, "iterations": 1, "weights": "count"}
+    post = ppl.infer("collaborate", MODEL, **options)
+    event = ppl.load_event("collaborate")
+    np.testing.assert_array_equal(post.observed(), event.observation.trajectory)
+    with pytest.raises(InvalidEventError, match="collaborat: no such file and no such bundled"):
+        ppl.infer("collaborat")
 
 
 def infer_event(event: ppl.Event) -> ppl.Posterior:
