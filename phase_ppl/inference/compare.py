@@ -24,7 +24,6 @@ from phase_ppl.analysis.comparison import (
 )
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import CHAINS, infer
-from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.reference import Asked, Reference, reference_of
 from phase_ppl.inference.registry import KernelInfo, info_of
 from phase_ppl.inference.run import Kernel, Run
@@ -253,9 +252,8 @@ def compare(
         reference: what the results are compared with. A posterior of the same event and model;
             "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), or with more than 4
             simulations per pair of goals ``("enumeration", {"per_pair": 16})``; or "none". The
-            default is enumeration if ten times the budget suffices, else four populations of
-            ``smc`` that share that budget. If ``smc`` is compared, there is then none. The distance
-            between the reference's halves is printed; kernels are not ranked within it.
+            default is enumeration if ten times the budget suffices, else none. The distance between
+            the reference's halves is printed; kernels are not ranked within it.
         settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
             If proposals need a reading of the video, its time counts, also if it was read before.
         workers: processes; by default one per usable core. With an ``executor``, how many
@@ -288,8 +286,7 @@ def compare(
     instance_of("budget", budget, Budget, BUDGETS)
     settings = SimpleSettings() if settings is None else settings
     chosen = entries(kernels, chains, settings)
-    with_smc = any(entry.info.factory is SMC for entry in chosen)
-    wanted = Reference.asked_for(reference, event, budget, chains, settings, with_smc)
+    wanted = Reference.asked_for(reference, event, budget)
     for entry in chosen:
         entry.check(event, model, budget)
     runs = [(repeat, entry) for repeat in range(repeats) for entry in chosen]

@@ -1,4 +1,4 @@
-"""References that kernels are compared with: enumeration, populations, or the exact sum of a table.
+"""References that kernels are compared with: enumeration, or the exact sum of a table.
 
 Enumeration simulates all effective goals g of the agents. Their mass is the mean over strengths
 s ~ P(s) and simulator seeds w of
@@ -32,8 +32,7 @@ from phase_ppl.analysis.comparison import (
     marginals,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.infer import infer
-from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.inference.settings import Budget
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
@@ -187,51 +186,33 @@ Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same s
 Asked: TypeAlias = Posterior | str | tuple[str, Mapping[str, int]] | None
 ENUMERATION: Final = "enumeration"
 NONE: Final = "none"  # in place of a reference: there is none
-LONG: Final = 10  # how many times the budget a reference may take
-LONG_RUN: Final = "smc"  # kernel of the reference where enumeration takes too much
-POPULATIONS: Final = 4  # independent ones of that kernel; how they differ is its error
-_LARGER: Final = 4  # times as many particles as a kernel that is compared
-_FEW: Final = 3  # iterations that a population goes on for at least
+LONG: Final = 10  # how many times the budget enumeration may take where nothing is asked for
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """The requested reference: a posterior, enumeration, populations of ``smc``, or none."""
+    """The requested reference: a posterior, enumeration, or none."""
 
     budget: Budget  # what it may take
-    settings: SimpleSettings
     given: Posterior | None = None
     enumeration: bool = False  # whether goals are enumerated, if the budget suffices
     at_any_cost: bool = False  # whether they are even if it does not
     per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
-    particles: int = 0  # of each population; 0: there are none
 
     @classmethod
-    def asked_for(
-        cls,
-        reference: Asked,
-        event: Event,
-        budget: Budget,
-        chains: int,
-        settings: SimpleSettings,
-        smc_is_compared: bool,
-    ) -> Reference:
-        """Return the meaning of a comparison's argument ``reference``.
-
-        If ``smc`` is compared, it is no reference, since that would favour it.
-        """
+    def asked_for(cls, reference: Asked, event: Event, budget: Budget) -> Reference:
+        """Return the meaning of a comparison's argument ``reference``."""
         if isinstance(reference, Posterior):
             if not np.array_equal(reference.observed(), event.observation.trajectory):
                 raise InvalidEventError(
                     f"the reference is of {reference.event_id}, another event than {event.id}"
                 )
-            return cls(budget, settings, given=reference)
+            return cls(budget, given=reference)
         if reference == NONE:
-            return cls(budget, settings)
+            return cls(budget)
         if reference is None:
             long = dataclasses.replace(budget, amount=LONG * budget.amount)
-            particles = 0 if smc_is_compared else _particles(long, chains, event)
-            return cls(long, settings, enumeration=True, particles=particles)
+            return cls(long, enumeration=True)
         given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
         if given[:1] != (ENUMERATION,):
             raise InvalidSettingError(
@@ -239,7 +220,7 @@ class Reference:
                 "such as infer(event, model, kernel=...)"
             )
         each = _per_pair(given)
-        return cls(budget, settings, enumeration=True, at_any_cost=True, per_pair=each)
+        return cls(budget, enumeration=True, at_any_cost=True, per_pair=each)
 
     def record(self) -> Any:
         """Return the request as it is stored."""
@@ -251,21 +232,7 @@ class Reference:
         if self.at_any_cost:
             more = {} if self.per_pair == PER_PAIR else {"per_pair": self.per_pair}
             return [ENUMERATION, more] if more else ENUMERATION
-        if not self.enumeration:
-            return NONE
-        run = {"name": LONG_RUN, "chains": self.particles, "budget": str(self.budget)}
-        return {"enumeration if affordable": True, "else": run if self.particles else NONE}
-
-
-def _particles(budget: Budget, chains: int, event: Event) -> int:
-    """Return how many particles each population of the default reference has.
-
-    A small budget gets fewer, so that each population can make a few iterations.
-    """
-    each = budget.amount / POPULATIONS
-    each /= event.observation.n_frames if budget.unit == "frames" else 1
-    most = math.inf if budget.unit == "seconds" else each // (1 + _FEW)
-    return int(max(2, min(_LARGER * chains, most)))
+        return {"enumeration within": str(self.budget)} if self.enumeration else NONE
 
 
 def _per_pair(reference: tuple[Any, ...]) -> int:
@@ -294,10 +261,10 @@ def reference_of(
 ) -> dict[str, Any]:
     """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
 
-    ``error`` is the total variation between the marginals of two halves of the simulations, of the
-    populations or of the chains: ``tv_goals`` (mean of both agents) and ``tv_relation``. The error
-    of the whole is smaller: half of this where errors are small, three quarters where single
-    simulations decide. It omits errors that all simulations share, such as a mode that none found.
+    ``error`` is the total variation between the marginals of two halves of the simulations or of
+    the chains: ``tv_goals`` (mean of both agents) and ``tv_relation``. The error of the whole is
+    smaller: half of this where errors are small, three quarters where single simulations decide. It
+    omits errors that all simulations share, such as a mode that none found.
     ``error`` is None without halves; marginals are None without a reference. ``read`` is a result
     of the closed loop, if kernels sample its table: then the reference is exact.
     """
@@ -327,7 +294,7 @@ def reference_of(
         if plan is None and asked.at_any_cost:
             raise InvalidSettingError(
                 f"{event.scene.world.name!r} has too many combinations of goals for a reference by "
-                f"enumeration, which takes {MOST}: expected a kernel or {NONE!r}"
+                f"enumeration, which takes {MOST}: expected a posterior or {NONE!r}"
             )
         if plan is not None:
             options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
@@ -341,36 +308,7 @@ def reference_of(
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
         return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
-    if not asked.particles:
-        return said("none", None, 0, [])
-    # chains of one population depend on each other, whole populations do not
-    amount = asked.budget.amount / POPULATIONS
-    in_seconds = asked.budget.unit == "seconds"
-    share = dataclasses.replace(asked.budget, amount=amount if in_seconds else max(1, int(amount)))
-    of_run: dict[str, Any] = {"chains": asked.particles, "budget": share, "progress": False}
-    of_run |= {"settings": asked.settings, "workers": workers, "executor": executor}
-    posts = [
-        infer(event if read is None else read, model, kernel=LONG_RUN, seed=number, **of_run)
-        for number in np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
-    ]
-    words = f"{LONG_RUN}, {asked.budget}"
-    stats = [post.tree["sample_stats"].dataset for post in posts]
-    evidence = np.array([float(one["log_evidence"].values[0, -1]) for one in stats])
-    weight = np.exp(evidence - evidence.max())
-    parts = [marginals(post) for post in posts]
-
-    def together(chosen: Sequence[int]) -> dict[str, FloatArray]:
-        shares = weight[list(chosen)] / weight[list(chosen)].sum()
-        return {
-            name: sum(w * parts[k][name] for w, k in zip(shares, chosen, strict=True))
-            for name in parts[0]
-        }
-
-    pairs = [((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2))]
-    halves = [(together(one), together(two)) for one, two in pairs]
-    simulations = sum(int(post.cost["simulations"]) for post in posts)
-    words += f", as {POPULATIONS} independent populations weighed by their evidence"
-    return said(words, together(range(POPULATIONS)), simulations, halves)
+    return said("none", None, 0, [])
 
 
 def _affordable(asked: Reference, event: Event) -> float:

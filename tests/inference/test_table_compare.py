@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,8 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.analysis.comparison import Marginals, distances, marginals
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.reference import POPULATIONS, Reference, reference_of
-from phase_ppl.inference.table_run import event_of, model_of
+from phase_ppl.inference.table_run import event_of
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.tables import EXACT, NAMES, skewed
 from tests.inference.toy import few_goals
@@ -88,27 +85,3 @@ def test_a_video_is_read_once_for_all_kernels_and_repeats(
         assert seen == [4]
     assert len(found.runs) == 4
     assert "which is exact" in str(found)
-
-
-# --- a reference that is not exact ---------------------------------------------------------------
-
-
-def reference(seed: int) -> dict[str, Any]:
-    asked = Reference(ppl.simulations(800), ppl.SimpleSettings(), particles=50)
-    return reference_of(asked, event_of(EXACT), model_of(EXACT, None), EXACT, seed, workers=1)
-
-
-def test_populations_say_how_far_they_differ_from_seed_to_seed() -> None:
-    found = [reference(seed) for seed in range(4)]
-    assert (
-        f"as {POPULATIONS} independent populations weighed by their evidence"
-        in (found[0]["description"])
-    )
-    assert found[0]["simulations"] == 800
-    of_seeds: list[Marginals] = [one["marginals"] for one in found]
-    for name in ("tv_goals", "tv_relation"):
-        spread = [distances(one, other)[name] for one, other in itertools.combinations(of_seeds, 2)]
-        stated = np.mean([one["error"][name] for one in found])
-        assert 0.5 < stated / np.mean(spread) < 2
-        true = np.mean([distances(one, marginals(EXACT))[name] for one in of_seeds])
-        assert true < stated
