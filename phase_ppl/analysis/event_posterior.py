@@ -19,7 +19,7 @@ from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses, with_err
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.query import conditions, defined
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
-from phase_ppl.analysis.verdict import verdict_lines
+from phase_ppl.analysis.verdict import as_html, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import NO_LOO, arviz_groups, draws_of, resampled
 from phase_ppl.world.arrays import FloatArray
@@ -28,7 +28,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.picture import bars, plain, wrapped
+from phase_ppl.world.picture import bars, plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -290,6 +290,11 @@ class EventPosterior(Hypotheses):
         found = self.diagnostics()
         head = wrapped("posterior", self._head(found))
         return "\n".join([*head, *verdict_lines(found), "", *self._body(found)])
+
+    def _repr_html_(self) -> str:
+        found = self.diagnostics()
+        head = wrapped("posterior", self._head(found))
+        return as_html(found) + preformatted("\n".join([*head, "", *self._body(found)]))
 
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -52,13 +53,13 @@ TOO_SURPRISING: Final = 0.5
 DISAGREE: Final = 0.15
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
-_MARKS: Final[Mapping[str, tuple[str, str]]] = {
-    "fail": ("x", "failed"),
-    "doubt": ("!", "doubt"),
-    "unknown": ("?", "not checked, or unknown"),
-    "ok": ("+", "passed"),
+_LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
+    "fail": ("x", "#cf222e", "failed"),
+    "doubt": ("!", "#9a6700", "doubt"),
+    "unknown": ("?", "#57606a", "not checked, or unknown"),
+    "ok": ("+", "#1a7f37", "passed"),
 }
-"""State -> its mark and meaning, the worst state first."""
+"""State -> its mark, colour and meaning, the worst state first."""
 
 _CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
@@ -100,7 +101,7 @@ def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[
     checks, the worst first, or else ``closing``.
     """
     checks = [one._replace(says="", advice="") if one.state == "ok" else one for one in checks]
-    ordered = sorted(checks, key=lambda one: list(_MARKS).index(one.state))
+    ordered = sorted(checks, key=lambda one: list(_LOOKS).index(one.state))
     worst = ordered[0].state if ordered else "ok"
     trust = {"fail": "do not trust", "doubt": "not certain"}.get(worst, "confident")
     parts = [
@@ -134,12 +135,12 @@ def verdict_lines(found: Record) -> list[str]:
     """Return the answer, the checks, the worst one's text and the next step, as lines."""
     shown, label = list(wrapped("answer", found["answer"])), "checks"
     for one in found["checks"]:
-        row = f"{_MARKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
+        row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
         shown.append(f"{label:<{LABEL}}{row}".rstrip())
         label = ""
     if legend := _legend(found):
         shown.append(f"{'':<{LABEL}}({legend})")
-    said = [one["says"] for state in _MARKS for one in found["checks"] if one["state"] == state]
+    said = [one["says"] for state in _LOOKS for one in found["checks"] if one["state"] == state]
     # an error in a user's code is told, also where another check is worse
     errors = [one["says"] for one in found["checks"] if one["name"] == _SUCCEEDED]
     for text in filter(None, dict.fromkeys([*said[:1], *errors])):
@@ -150,8 +151,26 @@ def verdict_lines(found: Record) -> list[str]:
 def _legend(found: Record) -> str:
     """Return what the marks of the checks mean, if not all passed."""
     states = {one["state"] for one in found["checks"]}
-    marks = [f"{mark} {means}" for state, (mark, means) in _MARKS.items() if state in states]
+    marks = [f"{mark} {means}" for state, (mark, _, means) in _LOOKS.items() if state in states]
     return ", ".join(marks) if states != {"ok"} else ""
+
+
+def as_html(found: Record) -> str:
+    """Return the answer, the checks as a coloured list, and the next step."""
+    rows = []
+    for one in found["checks"]:
+        mark, colour, _ = _LOOKS[one["state"]]
+        name, value, limit, says = (
+            html.escape(one[key]) for key in ("name", "value", "limit", "says")
+        )
+        rows.append(
+            f'<li><strong style="color:{colour}">{mark}</strong> <strong>{name}</strong>: {value} '
+            f"<small>({limit})</small>{says and f'<br><small>{says}</small>'}</li>"
+        )
+    return (
+        f"<p><strong>{html.escape(found['answer'])}</strong></p><ul>{''.join(rows)}</ul>"
+        f"<p><small>{_legend(found)}</small></p><p>Next: {html.escape(found['next'])}</p>"
+    )
 
 
 # --- of the tracks --------------------------------------------------------------------------------
