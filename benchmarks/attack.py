@@ -189,7 +189,7 @@ def command(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         ["compare", event, "--kernels", "prior_mh", "--budget", "4", "--repeats", "1", *tiny],
         ["query", post, "P(relation=friendly)", "--weights", "count"],
         ["query", post, "E[strength_red | strength_red > 200]", "top 3 goal_red", "--json"],
-        ["evaluate", event, "--model", "majority", "--limit", "1", "--seed", "0", "--no-figures"],
+        ["evaluate", event, "--model", "majority", "--limit", "1", "--seed", "0"],
         ["generate", "--n", "1000000000", "--seed", "0", "--out", str(folder / "set")],
         ["export", event, "--out", str(folder / "exported.json")],
         ["render", event, "--out", str(folder / "picture.png")],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import users_parts
-from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options, one_line
+from phase_ppl.cli.commands import FAILED, INTERRUPTED, Options
 from phase_ppl.world.errors import AnswerError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that are options of the command."""
 
-_SHOWS: Final = ("out", "workers", "progress", "no_figures", "run", "executor")
+_SHOWS: Final = ("out", "workers", "progress", "run", "executor")
 """Options that are allowed when a stored evaluation is shown again."""
 
 
@@ -38,7 +38,7 @@ def evaluate(options: Options) -> int:
         --model NAME...: stepwise, the closed loop (the default), simple or another. Given several
             times, all are evaluated and compared, each in a folder of its name in --out;
             LABEL=NAME gives another name
-        --out DIR: for predictions, metrics and figures
+        --out DIR: for predictions and metrics; report makes a page of them, with figures
         --resume: continue the evaluation in --out; events may have been added at the end
         --observer NAME: observer through which the model is seen: people, which comes with the
             package, or a file of fit-people
@@ -49,7 +49,6 @@ def evaluate(options: Options) -> int:
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --against NAME: of several models the one to compare the others with; default: every pair
         $stored
-        --no-figures: draw no figures
         $progress
         --preset NAME: $PRESET
         $planner
@@ -112,15 +111,13 @@ def evaluate(options: Options) -> int:
             print(evaluation)
         if evaluation.failures:
             code = FAILED
-        if evaluation.folder is not None:
-            code = _drawn(evaluation, evaluation.folder.path, options, named) or code
     if not labelled:
         _say_where(None if evaluation.folder is None else evaluation.folder.path)
         return code
     stored = _references(options)
     comparison = phase_ppl.compare_models(found, stored=stored, against=options.against)
-    print(comparison)
-    return _keep(comparison, options) or code
+    _keep(comparison, options)
+    return code
 
 
 def _check_several(
@@ -130,12 +127,15 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Check several models before the first is asked."""
-    from phase_ppl.evaluation.comparison import check_names, chosen_references
+    from phase_ppl.evaluation.comparison import (
+        check_names,
+        chosen_references,
+        reference_label,
+    )
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
-    from phase_ppl.evaluation.table import reference_label
 
     check_names(list(models))
     chosen = events[: options.limit]
@@ -173,9 +173,9 @@ def _show_again(options: Options) -> int:
 
 def _say_where(folder: Path | None) -> None:
     if folder is None:
-        print("\nNothing was saved; --out DIR keeps tables and figures.")
+        print("\nNothing was saved; --out DIR keeps tables.")
     else:
-        hint = f"For one page of it all: phase-ppl report {shlex.quote(str(folder))}"
+        hint = f"For one page of it all, with figures: phase-ppl report {shlex.quote(str(folder))}"
         print(f"\nKept in {folder}\n{hint}")
 
 
@@ -184,27 +184,7 @@ def _references(options: Options) -> str | list[str]:
     return "all" if "all" in options.stored else list(options.stored)
 
 
-def _drawn(
-    source: Evaluation | ModelComparison, out: Path, options: Options, named: str = ""
-) -> int:
-    """Draw the figures of an evaluation or a comparison into ``out``; return the exit code.
-
-    The results are there even if drawing fails, which is printed.
-    """
-    if options.no_figures:
-        return 0
-    from phase_ppl.evaluation import figures
-
-    try:
-        figures.draw_figures(source, out, progress=options.progress is not False)
-    except Exception as error:
-        problem = f"{named}the figures cannot be drawn: {one_line(error)}"
-        print(f"phase-ppl: error: {problem}", file=sys.stderr)
-        return FAILED
-    return 0
-
-
-def compare_models(options: Options) -> int:
+def compare_models(options: Options) -> None:
     """Compare evaluations of several models, and people, on the same events.
 
     Prints accuracy, agreement with people, paired differences with Holm's correction,
@@ -218,8 +198,7 @@ def compare_models(options: Options) -> int:
         --margin X: largest difference of shares at which a model equals people; default 0.1
         --seed N: of the resamples; default 0
         --resamples N: of the events, default 10000
-        --out DIR: for tables and figures
-        --no-figures: draw no figures
+        --out DIR: for tables; report makes a page of them, with figures
         $progress
 
     example: phase-ppl compare-models out/simple out/last_frame --out compared
@@ -232,8 +211,7 @@ def compare_models(options: Options) -> int:
         writable_folder(options.out)
     sources = _sources(options.folders)
     found = options.call(phase_ppl.compare_models, sources=sources, stored=_references(options))
-    print(found)
-    return _keep(found, options)
+    _keep(found, options)
 
 
 def _sources(given: Sequence[str]) -> dict[str, str] | list[str]:
@@ -248,14 +226,12 @@ def _sources(given: Sequence[str]) -> dict[str, str] | list[str]:
     return named
 
 
-def _keep(found: ModelComparison, options: Options) -> int:
-    """Write a comparison with its figures and pages; return the exit code."""
-    code = 0
+def _keep(found: ModelComparison, options: Options) -> None:
+    """Print a comparison, and write it."""
+    print(found)
     if options.out is not None:
         found.save(options.out)
-        code = _drawn(found, options.out, options)
     _say_where(options.out)
-    return code
 
 
 def reproduce(options: Options) -> None:

@@ -255,7 +255,7 @@ def _scores(by_split: Mapping[str, Mapping[str, Any]]) -> str:
     """Return shares of right answers about goals and relation by split, as columns in percent."""
     cells = ""
     for scores in by_split.values():
-        for figure in (scores.get("goal_accuracy"), scores.get("relation_accuracy")):
-            value = figure["value"] if isinstance(figure, dict) else figure
-            cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
+        for figure in (scores["goal_accuracy"], scores["relation_accuracy"]):
+            value = "-" if figure is None else f"{100 * figure['value']:.0f}"
+            cells += f"{value:>12}"
     return cells

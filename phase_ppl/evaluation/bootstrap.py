@@ -17,7 +17,7 @@ values at once; the first row is the data themselves.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +55,34 @@ def weighted_mean(weights: FloatArray, values: ArrayLike) -> FloatArray:
     known = ~np.isnan(given)
     total = weights @ np.where(known, given, 0).sum(axis=1)
     return divided(total, weights @ known.sum(axis=1).astype(np.float64))
+
+
+class Resampled(NamedTuple):
+    """A measure and its values on the resamples."""
+
+    values: FloatArray  # (1 + resamples,) its value, then the resampled ones
+    n: int  # number of events that count in it
+    # (event, answer) scores from 0 to 1 whose mean it is; None: it is no share
+    scores: FloatArray | None = None
+
+    @classmethod
+    def mean(cls, weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
+        """Return the mean of values (event, answer), possibly shares from 0 to 1."""
+        scores = values if of_shares else None
+        return cls(weighted_mean(weights, values), events_with(values), scores)
+
+    def measure(self) -> Measure | None:
+        """Return value and 95 % interval: binomial for shares, else from the resamples."""
+        return measure(self.values, self.n) if self.scores is None else proportion(self.scores)
+
+    def minus(self, other: Resampled) -> Measure | None:
+        """Return the :func:`difference` from another one on the same resamples."""
+        return difference(self.values, other.values, self.n, self.scores is not None)
+
+
+def events_with(values: FloatArray) -> int:
+    """Return the number of events (first axis) with any value that is not NaN."""
+    return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
 
 
 def by_event(values: ArrayLike) -> FloatArray:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import pandas as pd
 
 from phase_ppl.evaluation.bootstrap import LEVEL
+from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.metrics import PREFIX, Place, at
-from phase_ppl.evaluation.table import PEOPLE
+from phase_ppl.evaluation.table import PEOPLE, parts_of, world_of
 from phase_ppl.world.hypothesis import SCENARIOS
+
+if TYPE_CHECKING:
+    from phase_ppl.evaluation.comparison import ModelComparison
 
 NOTHING: Final = "-"  # in a terminal's table, in place of a missing number
 WIDTH: Final = 100  # columns of a terminal
@@ -244,3 +248,70 @@ def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
     if found is not None and "accuracy" in found:
         return f"{measure_text(found['accuracy'])} of {found['n']}"
     return measure_text(found)
+
+
+# --- tables of differences ------------------------------------------------------------------------
+
+PAIRS: Final = 15  # most pairs of models that are printed; beyond, only those with the first model
+
+_DIFFERENCES: Final = {
+    "right answers": "accuracy",
+    "the log probability of the true answer, nats": "log_score_truth",
+}
+
+
+def difference_tables(c: ModelComparison) -> list[Table]:
+    """Return the tables of paired differences: in right answers, in log probabilities.
+
+    With more than :data:`PAIRS` pairs only those with the first model are shown.
+    """
+    found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
+    tables, note = [], "p: bootstrap, corrected by Holm over the pairs"
+    for title, measure in _DIFFERENCES.items():
+        measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
+        pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
+        if len(pairs) > PAIRS and c.settings["against"] is None:
+            pairs = [pair for pair in pairs if c.models[0] in pair]
+            note = "p: bootstrap, corrected by Holm over all pairs; more pairs are in .differences"
+        if pairs:
+            columns = {}
+            for name, word in zip(measures, KIND_WORDS.values(), strict=True):
+                rows = [found.get((*pair, name)) for pair in pairs]
+                columns[word, ""] = [measure_text(r, signed=True) for r in rows]
+                columns[word, "p"] = [p_text(r["p_holm"] if r else None) for r in rows]
+            index = pd.MultiIndex.from_tuples(pairs, names=("one", "other"))
+            cells = pd.DataFrame(columns, index)
+            cells.columns = [part or word for word, part in columns]
+            tables.append(Table(f"paired differences in {title}", cells))
+    return [*tables[:-1], *(table._replace(note=note) for table in tables[-1:])]
+
+
+def equivalence_tables(c: ModelComparison) -> list[Table]:
+    """Return the table of equivalence with people, if there is one."""
+    rows = [row for row in c.equivalence if row["scenario"] is None]
+    if not rows:
+        return []
+    margin = c.settings["margin"]
+    cells = pd.DataFrame(
+        {
+            "": [KIND_WORDS[row["measure"].removesuffix("_accuracy")] for row in rows],
+            "value [90 %]": [
+                measure_text({**row, "ci_low": row["low"], "ci_high": row["high"]}, signed=True)
+                for row in rows
+            ],
+            "p equiv.": [p_text(row["p_equivalent_holm"]) for row in rows],
+            "p differ": [p_text(row["p_holm"]) for row in rows],
+            "verdict": [row["verdict"] for row in rows],
+        },
+        pd.Index([row["model"] for row in rows], name="model minus people"),
+    )
+    groups = {group for kind in KIND_WORDS for group, _ in parts_of(world_of(c.events), kind)}
+    parts = " and ".join(sorted(group.removeprefix("by_") for group in groups))
+    note = (
+        f"Tested is a model's being right minus the share of people who are right, event by event. "
+        f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
+        "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
+        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
+        f"comparison.json has differences and equivalence by {parts} too."
+    )
+    return [Table(f"equivalence with people, margin {margin:g}", cells, note)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -14,30 +15,20 @@ import pandas as pd
 
 from phase_ppl.data.documents import check_schema, of_kind, read_json
 from phase_ppl.data.load import load_events, save_events
-from phase_ppl.evaluation.bootstrap import resampled
+from phase_ppl.evaluation.bootstrap import Resampled, resampled
 from phase_ppl.evaluation.cells import (
     INTERVALS,
-    KIND_WORDS,
-    NOTHING,
-    Table,
-    measure_text,
+    difference_tables,
+    equivalence_tables,
     metric_tables,
-    p_text,
     wrapped,
 )
-from phase_ppl.evaluation.differences import LEAST_EVENTS, differences_of, equivalence_of
+from phase_ppl.evaluation.differences import differences_of, equivalence_of
 from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
-from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_measure
+from phase_ppl.evaluation.metrics import at, human_accuracy, metrics_of
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
-from phase_ppl.evaluation.table import (
-    PEOPLE,
-    AnswerSet,
-    answer_sets,
-    parts_of,
-    reference_label,
-    world_of,
-)
+from phase_ppl.evaluation.table import PEOPLE, peoples_answers, world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -53,12 +44,14 @@ from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.scene import World
 
-Source: TypeAlias = Evaluation | str | os.PathLike[str]
+Given: TypeAlias = Evaluation | str | os.PathLike[str]
 ALL: Final = "all"  # stands for all reference models of the events
 SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, too coarse for many pairs."""
+USUAL: Final = {"margin": MARGIN, "against": None, "seed": 0, "resamples": RESAMPLES}
+"""Settings of a comparison, where none are given."""
 
 _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
@@ -69,18 +62,56 @@ _TABLE: Final = (
 )
 
 
+LABELS: Final[Mapping[str, str]] = {
+    "simple": "SIMPLE",
+    "simple_as_printed": "SIMPLE as printed",
+    "simple_as_intended": "SIMPLE as intended",
+    "simple_authors": "authors' SIMPLE",
+    "socialgnn": "SocialGNN",
+    "socialgnn_original": "SocialGNN, original",
+    "socialgnn_2023": "SocialGNN 2023",
+    "cue_lstm_2023": "cue LSTM 2023",
+    "predicate": "predicate planning",
+    "predicate_as_printed": "predicates as printed",
+    "vlm": "VLM",
+}
+"""How known models are called in figures; others by their names, with spaces."""
+
+PEOPLE_COLOUR: Final = "#3c3c3c"
+PALETTE: Final = (
+    *("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#b0507a", "#7f7f7f"),
+    *("#a5ad00", "#e69f00", "#a50f15", "#6fc7b2", "#5b3fa0", "#a0643c", "#2b5d34", "#ff8fab"),
+)
+"""Colours of models, to be told apart without seeing red and green apart."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class Entry:
-    """One of the compared models."""
+class Source:
+    """Whose answers are compared: people, or a model."""
 
     name: str  # as the comparison calls it, different for all
-    kind: str  # "model", of an evaluation; or "reference", whose answers the events carry
-    predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
+    kind: str  # "people"; "model", of an evaluation; "reference", whose answers the events carry
+    # event id -> answers, of the events compared; people's probabilities are shares of ratings
+    predictions: Mapping[str, Prediction]
     # of the evaluation, as in its settings.json, without the events
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     # event id -> what went wrong, of the events compared
     failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
     folder: str | None = None  # of the evaluation, if it has one
+    # beside others: in figures, and its metrics
+    label: str = ""
+    colour: str = ""
+    metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def label_of(name: str) -> str:
+    """Return how figures call a model."""
+    return LABELS.get(name, name.replace("_", " "))
+
+
+def reference_label(name: str, models: Collection[str]) -> str:
+    """Return how a model whose answers the events carry is called beside other models."""
+    return f"{name} (stored)" if name in models or name == PEOPLE else name
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,14 +128,9 @@ class ModelComparison(Printed):
     """
 
     events: Sequence[Event]
-    entries: Sequence[Entry]
+    entries: Sequence[Source]
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
-
-    @functools.cached_property
-    def world(self) -> World:
-        """The world of all events."""
-        return world_of(self.events)
 
     @property
     def models(self) -> list[str]:
@@ -119,15 +145,13 @@ class ModelComparison(Printed):
         metrics are over the events that it predicts.
         """
         seed = self.settings["seed"]
-        scores = Scores(self.events, seed=seed)
-        found: dict[str, dict[str, Any]] = {}
-        for one in self.entries:
-            weights = resampled(len(one.predictions), seed)
-            costs = [prediction.cost for prediction in one.predictions.values()]
-            found[one.name] = scores.metrics(one.predictions)
-            for name in ("cpu_seconds", "seconds"):
-                spent = np.array([number_or_nan(cost.get(name)) for cost in costs])
-                found[one.name][name] = mean_measure(weights, spent[:, None]).measure()
+        found = metrics_of(self.events, self._predictions, seed=seed)
+        for name, predictions in self._predictions.items():
+            weights = resampled(len(predictions), seed)
+            for unit in ("cpu_seconds", "seconds"):
+                spent = [number_or_nan(given.cost.get(unit)) for given in predictions.values()]
+                mean = Resampled.mean(weights, np.array(spent)[:, None])
+                found[name][unit] = mean.measure()
         return found
 
     @functools.cached_property
@@ -156,16 +180,17 @@ class ModelComparison(Printed):
         )
 
     @functools.cached_property
-    def answers(self) -> list[AnswerSet]:
-        """All answers, of people first, as figures and pages show them."""
-        references = [one.name for one in self.entries if one.kind != "model"]
-        return answer_sets(self.events, self._predictions, references)
-
-    @functools.cached_property
-    def measured(self) -> list[AnswerSet]:
-        """All answers, of people first, with metrics."""
-        metrics = {**self.metrics, PEOPLE: self.people}
-        return [dataclasses.replace(one, metrics=metrics[one.name]) for one in self.answers]
+    def sources(self) -> list[Source]:
+        """Everybody who answered, people first, with metrics; as figures and pages show them."""
+        people = f"scripted {PEOPLE}" if rehearsed(self.events) else PEOPLE
+        judged = peoples_answers(self.events)
+        looks = {"label": people, "colour": PEOPLE_COLOUR}
+        found = [Source(PEOPLE, PEOPLE, judged, **looks, metrics=self.people)]
+        labels = [label_of(name) for name in self.models]
+        for one, label, colour in zip(self.entries, labels, itertools.cycle(PALETTE), strict=False):
+            looks = {"label": label if labels.count(label) == 1 else one.name, "colour": colour}
+            found.append(dataclasses.replace(one, **looks, metrics=self.metrics[one.name]))
+        return [one for one in found if one.predictions]
 
     @property
     def table(self) -> pd.DataFrame:
@@ -267,7 +292,17 @@ class ModelComparison(Printed):
             raise InvalidEventError(f"{path / COMPARISON}: {reason}") from None
 
     def __str__(self) -> str:
-        return _text(self)
+        models, events, judged = len(self.models), len(self.events), self.people["n_events"]
+        head = f"{models} model{'s' * (models > 1)} on {events} event{'s' * (events > 1)}"
+        if judged:
+            head += f", {judged} of them with truth and people's judgments"
+        lines = wrapped(f"{head}; {INTERVALS}")
+        for note in self.notes:
+            lines += wrapped(f"note: {note}")
+        tables = [*metric_tables(list(self.metrics.items()), self.people), *difference_tables(self)]
+        for table in [*tables, *equivalence_tables(self)]:
+            lines += table.lines()
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return f"<ModelComparison of {', '.join(self.models)} on {len(self.events)} events>"
@@ -282,7 +317,7 @@ class ModelComparison(Printed):
 
 
 def compare_models(
-    sources: Source | Sequence[Source] | Mapping[str, Source],
+    sources: Given | Sequence[Given] | Mapping[str, Given],
     *,
     stored: str | Sequence[str] = (),
     against: str | None = None,
@@ -333,7 +368,7 @@ def compare_models(
     return ModelComparison(events, compared, settings, tuple(notes))
 
 
-def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str, Any]:
+def _checked(settings: Mapping[str, Any], compared: Sequence[Source]) -> dict[str, Any]:
     margin, against = settings["margin"], settings["against"]
     if not 0 < number_or_nan(margin) < 1:
         raise InvalidSettingError(f"margin={shown(margin)}, expected a number between 0 and 1")
@@ -349,14 +384,17 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str
     }
 
 
-def _record(one: Entry) -> dict[str, Any]:
-    fields = {field.name: getattr(one, field.name) for field in dataclasses.fields(one)}
+_KEPT: Final = ("name", "kind", "predictions", "settings", "failures", "folder")
+
+
+def _record(one: Source) -> dict[str, Any]:
+    fields = {name: getattr(one, name) for name in _KEPT}
     return {**fields, "predictions": [given.to_dict() for given in one.predictions.values()]}
 
 
-def _entry(record: object, world: World) -> Entry:
+def _entry(record: object, world: World) -> Source:
     given = of_kind("a model", record, dict)
-    fields = {field.name: given[field.name] for field in dataclasses.fields(Entry)}
+    fields = {name: given[name] for name in _KEPT}
     for name in ("settings", "failures"):
         of_kind(f"{name} of a model", fields[name], dict)
     predictions = [
@@ -364,13 +402,13 @@ def _entry(record: object, world: World) -> Entry:
         for one in of_kind("predictions of a model", fields["predictions"], list)
     ]
     by_id = {prediction.event_id: prediction for prediction in predictions}
-    return Entry(**{**fields, "predictions": by_id})
+    return Source(**{**fields, "predictions": by_id})
 
 
 # --- who is compared ------------------------------------------------------------------------------
 
 
-def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:
+def evaluations(sources: Given | Sequence[Given] | Mapping[str, Given]) -> dict[str, Evaluation]:
     """Return name -> evaluation.
 
     A folder that holds no evaluation itself stands for those in it, under the names of their
@@ -476,11 +514,11 @@ def _differences(first: str, mine: Mapping[str, str], name: str, theirs: Mapping
 
 def entries(
     found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
-) -> list[Entry]:
+) -> list[Source]:
     """Return the compared models with their answers about the events."""
     ids = [event.id for event in events]
     made = [
-        Entry(
+        Source(
             name,
             "model",
             {i: one.predictions[i] for i in ids if i in one.predictions},
@@ -492,7 +530,7 @@ def entries(
     ]
     references = reference_predictions(events)
     for name in chosen_references(stored, references):
-        made.append(Entry(reference_label(name, found), "reference", references[name]))
+        made.append(Source(reference_label(name, found), "reference", references[name]))
     return made
 
 
@@ -506,86 +544,3 @@ def chosen_references(stored: str | Sequence[str], references: Iterable[str]) ->
     for name in stored:
         check_name("stored model", name, known)
     return list(dict.fromkeys(stored))
-
-
-# --- printed --------------------------------------------------------------------------------------
-
-PAIRS: Final = 15  # most pairs of models that are printed; beyond, only those with the first model
-
-_DIFFERENCES: Final = {
-    "right answers": "accuracy",
-    "the log probability of the true answer, nats": "log_score_truth",
-}
-
-
-def _text(c: ModelComparison) -> str:
-    """Return all tables of a comparison."""
-    models, judged = len(c.models), c.people["n_events"]
-    head = f"{models} model{'s' * (models > 1)} on {len(c.events)} event{'s' * (len(c.events) > 1)}"
-    if judged:
-        head += f", {judged} of them with truth and people's judgments"
-    lines = wrapped(f"{head}; {INTERVALS}")
-    for note in c.notes:
-        lines += wrapped(f"note: {note}")
-    tables = [*metric_tables(list(c.metrics.items()), c.people), *difference_tables(c)]
-    for table in [*tables, *equivalence_tables(c)]:
-        lines += table.lines()
-    return "\n".join(lines)
-
-
-def difference_tables(c: ModelComparison) -> list[Table]:
-    """Return the tables of paired differences: in right answers, in log probabilities.
-
-    With more than :data:`PAIRS` pairs only those with the first model are shown.
-    """
-    found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
-    tables, note = [], "p: bootstrap, corrected by Holm over the pairs"
-    for title, measure in _DIFFERENCES.items():
-        measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
-        pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
-        if len(pairs) > PAIRS and c.settings["against"] is None:
-            pairs = [pair for pair in pairs if c.models[0] in pair]
-            note = "p: bootstrap, corrected by Holm over all pairs; more pairs are in .differences"
-        if pairs:
-            columns = {}
-            for name, word in zip(measures, KIND_WORDS.values(), strict=True):
-                rows = [found.get((*pair, name)) for pair in pairs]
-                columns[word, ""] = [measure_text(r, signed=True) for r in rows]
-                columns[word, "p"] = [p_text(r["p_holm"] if r else None) for r in rows]
-            index = pd.MultiIndex.from_tuples(pairs, names=("one", "other"))
-            cells = pd.DataFrame(columns, index)
-            cells.columns = [part or word for word, part in columns]
-            tables.append(Table(f"paired differences in {title}", cells))
-    return [*tables[:-1], *(table._replace(note=note) for table in tables[-1:])]
-
-
-def equivalence_tables(c: ModelComparison) -> list[Table]:
-    """Return the table of equivalence with people, if there is one."""
-    rows = [row for row in c.equivalence if row["scenario"] is None]
-    if not rows:
-        return []
-    margin = c.settings["margin"]
-    cells = pd.DataFrame(
-        {
-            "": [KIND_WORDS[row["measure"].removesuffix("_accuracy")] for row in rows],
-            "value": [f"{row['value']:+.2f}" for row in rows],
-            "90 %": [
-                NOTHING if row["low"] is None else f"[{row['low']:+.2f}, {row['high']:+.2f}]"
-                for row in rows
-            ],
-            "p equiv.": [p_text(row["p_equivalent_holm"]) for row in rows],
-            "p differ": [p_text(row["p_holm"]) for row in rows],
-            "verdict": [row["verdict"] for row in rows],
-        },
-        pd.Index([row["model"] for row in rows], name="model minus people"),
-    )
-    groups = {group for kind in KIND_WORDS for group, _ in parts_of(c.world, kind)}
-    parts = " and ".join(sorted(group.removeprefix("by_") for group in groups))
-    note = (
-        f"Tested is a model's being right minus the share of people who are right, event by event. "
-        f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
-        "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
-        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
-        f"comparison.json has differences and equivalence by {parts} too."
-    )
-    return [Table(f"equivalence with people, margin {margin:g}", cells, note)]

@@ -16,18 +16,19 @@ from scipy.special import ndtr
 
 from phase_ppl.evaluation.bootstrap import (
     LEVEL,
+    Resampled,
     difference,
+    events_with,
     interval,
     resampled,
     weighted_mean,
     with_two,
 )
-from phase_ppl.evaluation.metrics import Scores, events_with
+from phase_ppl.evaluation.metrics import measures_of
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.table import Answers, kinds_of, predicted
+from phase_ppl.evaluation.table import Answers, Place, kinds_of, predicted, true_scenario
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
 LEAST_EVENTS: Final = 10  # fewest events for a test of equivalence
@@ -52,28 +53,40 @@ def differences_of(
 
     Returns:
         Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
-        ``scenario`` (None: all), ``value`` (one minus other), ``ci_low``, ``ci_high`` (95 %),
-        ``p`` (two-sided, :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and
-        ``n_events`` (that both predict). Holm's correction is over all pairs compared on the
-        measure; by scenario it is over all pairs and scenarios of the measure.
+        ``scenario`` (None: all), ``value`` (one minus other; higher is better, of ``js`` lower),
+        ``ci_low``, ``ci_high`` (95 %), ``p`` (two-sided,
+        :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and ``n_events`` (that both
+        predict). Holm's correction is over all pairs compared on the measure; by scenario it is
+        over all pairs and scenarios of the measure.
     """
     if against is None:
         pairs = list(itertools.combinations(models, 2))
     else:
         pairs = [(name, against) for name in models if name != against]
-    paired = Scores(events, seed=seed, resamples=resamples)
+    said = {name: Answers.of(predicted(events, of), of) for name, of in models.items()}
+    made: dict[tuple[str, ...], dict[Place, Resampled]] = {}
+
+    def measures(answers: Answers) -> dict[Place, Resampled]:
+        """Return all measures; they are the same in all pairs of models that answer the same."""
+        key = *(event.id for event in answers.events), answers.content()
+        if key not in made:
+            made[key] = measures_of(answers, resampled(len(answers.events), seed, resamples))
+        return made[key]
+
     rows: list[Row] = []
     for one, other in pairs:
-        answers, found = paired.differences(models[one], models[other])
-        scenarios = answers.scenarios
-        for path, value in found.items():
-            scenario, n = None, len(scenarios)
+        # only questions that both answer count, event by event
+        first, second = said[one].about(models[other]), said[other].about(models[one])
+        theirs = measures(second.where_known(first))
+        for path, mine in measures(first.where_known(second)).items():
+            value, scenario, counted = mine.minus(theirs[path]), None, first.events
+            if value is None or path[-1].endswith("_people"):
+                continue
             if path[0] == "by_scenario":
                 scenario, path = path[1], path[2:]
-                n = int((scenarios == SCENARIOS.index(scenario)).sum())
-            if value is not None:
-                row = {"one": one, "other": other, "measure": ".".join(path), "scenario": scenario}
-                rows.append({**row, **value, "n_events": n})
+                counted = [event for event in counted if true_scenario(event) == scenario]
+            row = {"one": one, "other": other, "measure": ".".join(path), "scenario": scenario}
+            rows.append({**row, **value, "n_events": len(counted)})
     return _corrected(rows, "p")
 
 
@@ -151,25 +164,21 @@ def _verdict(row: Row) -> str:
 
 def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
     """Return the rows with corrected p-values; families are by measure, and overall or scenario."""
-    found: dict[int, float] = {}
-    known = [place for place, row in enumerate(rows) if row[name] is not None]
-    of_all = [rows[place]["scenario"] is None for place in known]
-    table = pd.DataFrame({"place": known, "of_all": of_all})
-    table["measure"] = [rows[place]["measure"] for place in known]
-    for _, family in table.groupby(["measure", "of_all"]):
-        corrected = holm([rows[place][name] for place in family["place"]])
-        found |= dict(zip(family["place"], corrected, strict=True))
-    return [{**row, f"{name}_holm": found.get(place)} for place, row in enumerate(rows)]
+    table = pd.DataFrame(rows, columns=["measure", "scenario", name]).astype({name: float})
+    families = table.groupby(["measure", table["scenario"].isna()])
+    corrected = families[name].transform(holm) if rows else table[name]
+    return [
+        {**row, f"{name}_holm": None if math.isnan(value) else value}
+        for row, value in zip(rows, corrected.tolist(), strict=True)
+    ]
 
 
-def holm(p: Sequence[float]) -> list[float]:
+def holm(p: pd.Series[float]) -> pd.Series[float]:
     """Return p-values of a family of tests, corrected by Holm's step-down procedure (Holm 1979).
 
     Rejecting corrected values up to alpha keeps the probability of any false rejection in the
-    family at most alpha.
+    family at most alpha. NaN is no test.
     """
-    values = np.asarray(p, np.float64)
-    order = np.argsort(values, kind="stable")
-    steps = values[order] * np.arange(len(values), 0, -1)
-    corrected = np.minimum(np.maximum.accumulate(steps), 1)
-    return [float(one) for one in corrected[np.argsort(order)]]
+    rank = p.rank(method="first")
+    steps = (p * (p.count() + 1 - rank)).sort_values(kind="stable")
+    return steps.cummax().clip(upper=1).reindex(p.index)

@@ -28,24 +28,16 @@ for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.eval
 
 ``moments`` is about people who judged at moments of a film. The model's probabilities are those
 given the film until that moment. Events are resampled with all of their moments. It is None where
-nobody judged at a moment, else it has, with names without "goal" about the relation:
+nobody judged at a moment, else it has the measures of ``human`` but r given the truth, over all
+events and moments; ``ece`` and ``calibration`` as above, by kind; and:
 
-===========================  =====================================================================
-``goal_r``, ``relation_r``   Pearson's r of model and people over all events, moments and answers
-``log_score``, ``js``        as under ``human``, means over events and moments; and
-                             ``goal_log_score``, ``goal_js``
-``log_score_people``         people's own log score, in-sample; ``goal_log_score_people``
-``split_half_r``             the ceiling: r of halves of the people, mean over 1000 random splits;
-                             each person is in one half at all moments; ``goal_split_half_r``
-``ece``, ``goal_ece``        expected calibration error: mean distance of the model's probabilities
-                             from the share of people, over ten bins of probability
-``calibration``              "goal" and "relation" -> for each non-empty bin ``probability``,
-                             ``share``, ``n``
-``hindsight``                whether the model's probabilities are in hindsight: each frame is
-                             weighed among hypotheses that were proposed for the whole film
-``by_moment``                for each moment ``at`` [s], ``n_events``, ``n`` answers and all of the
-                             above but ``hindsight``
-===========================  =====================================================================
+=====================  ===========================================================================
+``split_half_r``       as under ``human``; each person is in one half at all moments
+``hindsight``          whether the model's probabilities are in hindsight: each frame is weighed
+                       among hypotheses that were proposed for the whole film
+``by_moment``          for each moment ``at`` [s], ``n_events``, ``n`` answers and all of the above
+                       but ``hindsight``
+=====================  ===========================================================================
 """
 
 from __future__ import annotations
@@ -58,13 +50,14 @@ import pandas as pd
 
 from phase_ppl.evaluation.bootstrap import (
     Measure,
+    Resampled,
     by_event,
     correlation,
     divided,
+    events_with,
     measure,
     r_of_sums,
     resampled,
-    weighted_mean,
 )
 from phase_ppl.evaluation.prediction import pairs_of
 from phase_ppl.evaluation.table import Answers, kinds_of, responses_of
@@ -108,8 +101,8 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
     return {
         "relation_r": r(None),
         "relation_r_given_truth": r(same_truth(truth)),
-        "log_score_gap": measure(weighted_mean(weights, gap), len(p)),
-        "brier": measure(weighted_mean(weights, brier), len(p)),
+        "log_score_gap": Resampled.mean(weights, gap).measure(),
+        "brier": Resampled.mean(weights, brier).measure(),
         "ece": ece(bins),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples, rows),
@@ -348,7 +341,7 @@ def split_half(
 
 def split_half_of(
     answers: Answers, kind: str, weights: FloatArray, seed: int, at: Sequence[float] = ()
-) -> tuple[FloatArray, int]:
+) -> Measure | None:
     """Return :func:`split_half` of people's answers to a kind of questions.
 
     They are about the whole film; or about it until the moments ``at``, with each person in one
@@ -356,7 +349,7 @@ def split_half_of(
     """
     votes, rows = np.nan_to_num(answers.array(kind, "votes", at=at)), None
     if not votes.any():
-        return np.full(len(weights), np.nan), 0
+        return None
     films = at or (None,)
     said = {film: one for film in films if (one := responses_of(answers.events, film)) is not None}
     if said:
@@ -370,7 +363,7 @@ def split_half_of(
             f"{question} {film}" for film in films for question in kinds_of(answers.world)[kind]
         ]
         rows = rows_of(given, events, names, labels)
-    return split_half(votes, weights, rows, seed)
+    return measure(*split_half(votes, weights, rows, seed))
 
 
 def _sums(one: IntArray, other: IntArray) -> FloatArray:
@@ -381,55 +374,52 @@ def _sums(one: IntArray, other: IntArray) -> FloatArray:
     return np.stack([n, *parts])
 
 
-# --- at moments of a film ------------------------------------------------------------------------
+# --- of the whole film, and at moments of it -----------------------------------------------------
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> prefix of the names of measures of agreement with people."""
+
+
+def agreement(
+    answers: Answers, weights: FloatArray, at: Sequence[float] = ()
+) -> dict[str, Resampled]:
+    """Return measures of agreement with people, about the whole film or until moments ``at``."""
+    found: dict[str, Resampled] = {}
+    for kind, prefix in PREFIX.items():
+        p, people = (answers.array(kind, name, at=at) for name in ("probability", "people"))
+        r = correlation(weights, by_event(p), by_event(people))
+        found[f"{kind}_r"] = Resampled(r, events_with(p * people))
+        for name, values in {
+            "log_score": log_score(p, people),
+            "js": jensen_shannon(p, people),
+            "log_score_people": negative_entropy(np.where(np.isnan(p), np.nan, people)),
+        }.items():
+            found[f"{prefix}{name}"] = Resampled.mean(weights, values)
+    return found
 
 
 def moments(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
     """Return ``moments`` of the metrics, see the module."""
     if not answers.moments:
         return None
-    return {
-        **_agreement(answers, answers.moments, seed, resamples),
-        "by_moment": [
-            {
-                "at": at,
-                "n_events": len(of.events),
-                "n": round(float(rows["votes"].sum())),
-                **_agreement(of, [at], seed, resamples),
-            }
-            for at in answers.moments
-            for rows in [answers.rows[answers.rows["at"] == at]]
-            for of in [answers.about(set(rows["event"]))]
-        ],
-    }
+    by_moment = []
+    for at in answers.moments:
+        rows = answers.rows[answers.rows["at"] == at]
+        of = answers.about(set(rows["event"]))
+        counts = {"at": at, "n_events": len(of.events), "n": round(float(rows["votes"].sum()))}
+        by_moment.append({**counts, **_until(of, [at], seed, resamples)})
+    return {**_until(answers, answers.moments, seed, resamples), "by_moment": by_moment}
 
 
-def _agreement(answers: Answers, at: Sequence[float], seed: int, resamples: int) -> dict[str, Any]:
+def _until(answers: Answers, at: Sequence[float], seed: int, resamples: int) -> dict[str, Any]:
     weights = resampled(len(answers.events), seed, resamples)
-    found: dict[str, Any] = {}
+    measures = agreement(answers, weights, at)
+    found: dict[str, Any] = {name: one.measure() for name, one in measures.items()}
     bins = {}
     for kind, prefix in PREFIX.items():
+        found[f"{prefix}split_half_r"] = split_half_of(answers, kind, weights, seed, at)
         p, people = (answers.array(kind, name, at=at) for name in ("probability", "people"))
-        both = np.where(np.isnan(p), np.nan, people)
-        scores = {
-            f"{prefix}log_score": log_score(p, people),
-            f"{prefix}js": jensen_shannon(p, people),
-            f"{prefix}log_score_people": negative_entropy(both),
-        }
-        r = correlation(weights, by_event(p), by_event(people))
-        found[f"{kind}_r"] = measure(r, _n_events(p * people))
-        for name, values in scores.items():
-            found[name] = measure(weighted_mean(weights, values), _n_events(values))
-        halves = split_half_of(answers, kind, weights, seed, at)
-        found[f"{prefix}split_half_r"] = measure(*halves)
         known = ~np.isnan(p * people)
         bins[kind] = calibration(p[known], people[known])
         found[f"{prefix}ece"] = ece(bins[kind])
     return {**found, "calibration": bins}
-
-
-def _n_events(values: FloatArray) -> int:
-    return int((~np.isnan(by_event(values))).any(axis=1).sum())

@@ -36,20 +36,9 @@ from phase_ppl.data.documents import check_schema, read_json
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
-from phase_ppl.evaluation.metrics import (
-    evaluate_predictions,
-    human_accuracy,
-    reference_models,
-)
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
-from phase_ppl.evaluation.table import (
-    PEOPLE,
-    Answers,
-    AnswerSet,
-    answer_sets,
-    reference_label,
-)
+from phase_ppl.evaluation.table import Answers
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -66,6 +55,8 @@ from phase_ppl.world.picture import Printed, plain
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from phase_ppl.evaluation.comparison import ModelComparison
 
 SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
 SETTINGS: Final = "settings.json"
@@ -134,17 +125,26 @@ class Evaluation(Printed):
         return {"seconds": sum(seconds), "simulations": total, "events": each}
 
     @functools.cached_property
+    def compared(self) -> ModelComparison:
+        """It beside people, and the models whose answers the events carry."""
+        from phase_ppl.evaluation.comparison import ALL, USUAL, ModelComparison, entries
+
+        return ModelComparison(self.events, entries({self.name: self}, self.events, ALL), USUAL)
+
+    @functools.cached_property
     def metrics(self) -> dict[str, Any]:
         """The metrics, in JSON's types.
 
-        They are those of :mod:`phase_ppl.evaluation.metrics`; ``people``, people's accuracy
+        They are those of :mod:`phase_ppl.evaluation.metrics`; ``cpu_seconds`` and ``seconds``,
+        means per event; ``people``, people's accuracy
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
+        others = dict(self.compared.metrics)
         found = {
-            **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events),
-            "reference_models": reference_models(self.events),
+            **others.pop(self.name),
+            "people": self.compared.people,
+            "reference_models": others,
             "failures": self.failures,
             "settings": self.settings,
             "cost": self.cost,
@@ -188,27 +188,6 @@ class Evaluation(Printed):
         """Whether every event has a prediction, or failed."""
         return len(self.predictions) + len(self.failures) >= len(self.events)
 
-    @functools.cached_property
-    def answers(self) -> list[AnswerSet]:
-        """All answers, of people first, as figures and pages show them."""
-        references = self._of_references(reference_predictions(self.events))
-        return answer_sets(self.events, {self.name: self.predictions, **references}, references)
-
-    @functools.cached_property
-    def measured(self) -> list[AnswerSet]:
-        """All answers with their metrics; before the end, all are about the predicted events."""
-        found, metrics = self, self.metrics
-        if not self.finished:
-            events = [event for event in self.events if event.id in self.predictions]
-            found = dataclasses.replace(self, events=events)
-        people, references = found.metrics["people"], found.metrics["reference_models"]
-        known = {PEOPLE: people, **self._of_references(references), self.name: metrics}
-        return [dataclasses.replace(one, metrics=known[one.name]) for one in found.answers]
-
-    def _of_references(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return ``given`` of reference models, keyed by their names in this evaluation."""
-        return {reference_label(name, [self.name]): of_model for name, of_model in given.items()}
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Evaluation:
         """Read an evaluation, finished or not, from its folder.
@@ -229,8 +208,6 @@ class Evaluation(Printed):
         return str(self.settings["model"])
 
     def __str__(self) -> str:
-        metrics = self.metrics
-        models = {self.name: metrics, **self._of_references(metrics["reference_models"])}
         head = f"{self.name}: {len(self.predictions)} of {len(self.events)} events"
         failed = [f"failed: {event}: {failure}" for event, failure in self.failures.items()]
         told = [
@@ -242,7 +219,7 @@ class Evaluation(Printed):
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
         lines += wrapped(f"note: {REHEARSAL}") if rehearsed(self.events) else []
         ending = ["", *(line for text in told for line in wrapped(text))]
-        tables = metric_tables(list(models.items()), metrics["people"])
+        tables = metric_tables(list(self.compared.metrics.items()), self.compared.people)
         lines += on_screen(tables, LINES - len(lines) - len(ending))
         return "\n".join([*lines, *ending])
 

@@ -1,26 +1,8 @@
 """Studies of people's judgments: tables of answers, and raters' files.
 
-::
-
-    participant,video,goal_red,goal_green,relation,response_time
-    p01,collaborate,Get pink item to red lm,Get pink item to red lm,friendly,12.4
-    p01,oppose,get to green agent,get away from red agent,adversarial,8.1
-    p02,collaborate,Get pink item to red lm,,friendly,
-
 A table has a row per participant and video. It names ``participant`` and ``video`` (the id of the
-event), and at least one of the questions ``goal_red``, ``goal_green`` (effective goals, the paper's
-strings) and ``relation`` (friendly, neutral, adversarial). ``response_time`` [s] is optional.
-Columns come in any order. Cells of all but ``participant`` may be empty; nothing is assumed in
-their place. Case and spaces around an answer do not matter. Other worlds than PHASE have their own
-questions (:func:`~phase_ppl.evaluation.prediction.questions_of`), such as ``goal_purple`` and
-``relation_red_purple``.
-
-Graded answers have a column for each label, such as ``friendly`` or ``relation friendly``, with
-numbers of at least 0. ``at`` [s] is the moment of the film until which a person had seen it.
-``confidence`` is kept beside the answers. ``rehearsal``, true or false, marks answers of scripted
-people; participants named ``scripted-...`` count as marked. There are two other forms: a row per
-answer, with the columns ``question`` and ``answer``, and for graded ones ``value``; and a row per
-participant, with columns such as ``collaborate_relation``.
+event), and at least one of the questions (:func:`~phase_ppl.evaluation.prediction.questions_of`);
+goals are effective. docs/judgments.md has all columns and the other forms that are read.
 
 Raters' files of a public study of PHASE are read too: a folder with a text file per rater. The
 repository Isik-lab/SocialGNN has them; those of the test videos are in
@@ -115,7 +97,7 @@ class Study:
             }
             one = Judgments.of_responses(given.pop(None), self.world, given)
             found[event] = dataclasses.replace(one, rehearsal=marked(rows))
-        return {video: judgments for video, judgments in found.items() if judgments.n_raters}
+        return {video: one for video, one in found.items() if one.counts or one.moments}
 
     def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:
         """Return people's accuracy as in the paper: per participant, then averaged.

@@ -57,43 +57,38 @@ Answers are ranked by probability, ties in label order.
 ``js``, ``goal_js``            Mean over events of the Jensen-Shannon divergence [bits], 0 to 1.
 ``split_half_r``,              r of the answers of two halves of the raters, mean over 1000 random
 ``goal_split_half_r``          splits, without Spearman-Brown correction.
-``split_half_by``              "participants": participants are split once for all events, as in
-                               the paper. "votes": it is unknown who gave which answer, so each
-                               event's ratings are split separately.
 =============================  ===================================================================
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from phase_ppl.evaluation.bootstrap import (
     Measure,
+    Resampled,
     by_event,
     correlation,
-    difference,
-    measure,
+    events_with,
     proportion,
     resampled,
-    weighted_mean,
 )
 from phase_ppl.evaluation.doubt import (
     PREFIX,
+    agreement,
     doubt,
-    jensen_shannon,
     label_places,
     log_probabilities,
-    log_score,
     moments,
-    negative_entropy,
     same_truth,
     split_half_of,
 )
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import Judgments, rehearsed
 from phase_ppl.evaluation.table import (
     Answers,
@@ -101,11 +96,11 @@ from phase_ppl.evaluation.table import (
     parts_of,
     predicted,
     responses_of,
+    true_scenario,
     world_of,
 )
-from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 
 TOP: Final = 3
 
@@ -133,109 +128,47 @@ def evaluate_predictions(
         InvalidSettingError: a prediction is of another event than it is filed under, or
             ``seed`` or ``resamples`` is out of range.
     """
-    return Scores(events, seed=seed, resamples=resamples).metrics(predictions)
+    return metrics_of(events, {"": predictions}, seed=seed, resamples=resamples)[""]
 
 
-def reference_models(
-    events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
+def metrics_of(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    seed: int = 0,
+    resamples: int = 1000,
 ) -> dict[str, dict[str, Any]]:
-    """Return name -> metrics of the models whose predictions the events carry.
-
-    Arguments and errors as for :func:`evaluate_predictions` and
-    :func:`~phase_ppl.evaluation.prediction.reference_predictions`.
-    """
-    scores = Scores(events, seed=seed, resamples=resamples)
-    return {name: scores.metrics(given) for name, given in reference_predictions(events).items()}
-
-
-class Scores:
-    """Metrics of several models and their differences, on the same resamples of events.
-
-    Models' answers and scores are cached for further pairs.
-    """
-
-    def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
-        self._events, self._seed, self._resamples = events, seed, resamples
-        self._said: dict[int, tuple[Mapping[str, Prediction], Answers]] = {}
-        self._among_people: dict[tuple[str, ...], dict[Place, Any]] = {}
-        self._measures: dict[tuple[tuple[str, ...], bytes], dict[Place, Resampled]] = {}
-
-    def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
-        """Return the metrics, as :func:`evaluate_predictions`."""
-        answers = self._answers(predictions)
+    """Return model -> metrics, as :func:`evaluate_predictions`, from its predictions by event."""
+    found: dict[str, dict[str, Any]] = {}
+    halves: dict[tuple[str, ...], dict[str, Measure | None]] = {}  # of people, by the events
+    for model, predictions in models.items():
+        answers = Answers.of(predicted(events, predictions), predictions)
         ids = tuple(event.id for event in answers.events)
-        weights = resampled(len(ids), self._seed, self._resamples)
+        weights = resampled(len(ids), seed, resamples)
+        if ids not in halves:
+            halves[ids] = {
+                f"{prefix}split_half_r": split_half_of(answers, kind, weights, seed)
+                for kind, prefix in PREFIX.items()
+            }
         scores = {kind: scored(answers, kind) for kind in PREFIX}
-        result: dict[str, Any] = {
+        result = found[model] = {
             "n_events": len(ids),
             "n": {
-                "events": len(self._events),
+                "events": len(events),
                 "truth": events_with(answers.array("goal", "truth")),
                 **{f"{k}_judgments": events_with(answers.array(k, "people")) for k in PREFIX},
             },
+            "human": {**halves[ids]},
         }
-        measures = measures_of(answers, scores, weights)
-        for kind, prefix in PREFIX.items():
-            theirs = np.where(np.isnan(scores[kind]["js"]), np.nan, scores[kind]["people"])
-            measures["human", f"{prefix}log_score_people"] = mean_measure(weights, theirs)
+        measures = measures_of(answers, weights)
         put(result, {path: one.measure() for path, one in measures.items()})
-        if ids not in self._among_people:
-            self._among_people[ids] = _among_people(answers, weights, self._seed)
-        put(result, self._among_people[ids])
-        count_scenarios(result, answers.scenarios)
+        count_scenarios(result, answers.events)
         result["calibration"] = {k: calibration(one) for k, one in scores.items()}
         result["verdict"] = {k: verdict(one) for k, one in scores.items()}
-        result["doubt"] = doubt(answers, self._seed, self._resamples)
-        result["moments"] = moments(answers, self._seed, self._resamples)
+        result["doubt"] = doubt(answers, seed, resamples)
+        result["moments"] = moments(answers, seed, resamples)
         if result["moments"] is not None:
-            said = {predictions[name].hindsight for name in ids} - {""}
-            result["moments"]["hindsight"] = bool(said)
-        return result
-
-    def differences(
-        self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
-    ) -> tuple[Answers, dict[Place, Measure | None]]:
-        """Return the answers of ``one`` about the events that both predict, and all differences.
-
-        Only questions that both answer count, event by event. A difference is one minus other, with
-        a two-sided bootstrap p. Lower is better for ``js``, higher for everything else.
-        """
-        first, second = self._answers(one).about(other), self._answers(other).about(one)
-        of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
-        places: dict[Place, int] = {}  # parts of the metrics stay together
-        for path in of_one:
-            places |= {path[:n]: places.get(path[:n], len(places)) for n in (1, 2)}
-        found = {}
-        for path in sorted(of_one, key=lambda path: (places[path[:1]], places[path[:2]])):
-            mine, theirs = of_one[path], of_other[path]
-            of_shares = mine.scores is not None
-            found[path] = difference(mine.values, theirs.values, mine.n, of_shares)
-        return first, found
-
-    def _answers(self, predictions: Mapping[str, Prediction]) -> Answers:
-        if id(predictions) not in self._said:
-            answers = Answers.of(predicted(self._events, predictions), predictions)
-            self._said[id(predictions)] = predictions, answers
-        return self._said[id(predictions)][1]
-
-    def _of(self, answers: Answers) -> dict[Place, Resampled]:
-        key = tuple(event.id for event in answers.events), answers.content()
-        if key not in self._measures:
-            weights = resampled(len(answers.events), self._seed, self._resamples)
-            scores = {kind: scored(answers, kind) for kind in PREFIX}
-            self._measures[key] = measures_of(answers, scores, weights)
-        return self._measures[key]
-
-
-def _among_people(answers: Answers, weights: FloatArray, seed: int) -> dict[Place, Any]:
-    """Return the measures of people's agreement with each other."""
-    found: dict[Place, Any] = {
-        ("human", f"{prefix}split_half_r"): measure(*split_half_of(answers, kind, weights, seed))
-        for kind, prefix in PREFIX.items()
-    }
-    judged = answers.whole["people"].notna().any()
-    by = "votes" if responses_of(answers.events) is None else "participants"
-    found["human", "split_half_by"] = by if judged else None
+            result["moments"]["hindsight"] = any(predictions[name].hindsight for name in ids)
     return found
 
 
@@ -247,13 +180,10 @@ def scored(answers: Answers, kind: str) -> dict[str, FloatArray]:
 
     ``right`` is 1 or 0. ``in_top`` is 1 if the true answer is among the three most probable ones,
     with a probability above 0, else 0. ``sure`` is the probability of the given answer, which need
-    not be the most probable. ``truth`` is the log probability of the true answer. ``log_score`` and
-    ``js`` are of model and people, ``people`` is people's own log score. ``leads`` is 1 if the
-    posterior is sure of the answer, ``decided`` if the event is decided, else 0.
+    not be the most probable. ``truth`` is the log probability of the true answer. ``leads`` is 1 if
+    the posterior is sure of the answer, ``decided`` if the event is decided, else 0.
     """
-    p, people, true, given = (
-        answers.array(kind, name) for name in ("probability", "people", "truth", "answer")
-    )
+    p, true, given = (answers.array(kind, name) for name in ("probability", "truth", "answer"))
     leads, decided = (
         answers.array(kind, name)[..., :1].sum(axis=-1) for name in ("sure", "decided")
     )
@@ -262,9 +192,6 @@ def scored(answers: Answers, kind: str) -> dict[str, FloatArray]:
         "in_top": _in_top(p, true),
         "sure": (p * given).sum(axis=-1),
         "truth": (log_probabilities(p) * true).sum(axis=-1),
-        "log_score": log_score(p, people),
-        "js": jensen_shannon(p, people),
-        "people": negative_entropy(people),
         "leads": leads,
         "decided": decided,
     }
@@ -285,54 +212,24 @@ def _in_top(p: FloatArray, true: FloatArray) -> FloatArray:
 # --- every measure of a model: its value, and its values on the resamples -------------------------
 
 
-class Resampled(NamedTuple):
-    """A measure and its values on the resamples."""
-
-    values: FloatArray  # (1 + resamples,) its value, then the resampled ones
-    n: int  # number of events that count in it
-    # (event, answer) scores from 0 to 1 whose mean it is; None: it is no share
-    scores: FloatArray | None = None
-
-    def measure(self) -> Measure | None:
-        """Return value and 95 % interval: binomial for shares, else from the resamples."""
-        return measure(self.values, self.n) if self.scores is None else proportion(self.scores)
-
-
-def measures_of(
-    answers: Answers, scores: Mapping[str, Mapping[str, FloatArray]], weights: FloatArray
-) -> dict[Place, Resampled]:
-    """Return all measures about the model; ``scores`` is kind -> :func:`scored`."""
+def measures_of(answers: Answers, weights: FloatArray) -> dict[Place, Resampled]:
+    """Return all measures whose differences between models can be tested."""
+    scores = {kind: scored(answers, kind) for kind in PREFIX}
     right = {kind: of_kind["right"] for kind, of_kind in scores.items()}
-    measures = accuracy_measures(answers, right, weights)
-    in_top = scores["goal"]["in_top"]
-    measures["goal_top3_accuracy",] = mean_measure(weights, in_top, of_shares=True)
-    for kind, prefix in PREFIX.items():
-        of_kind = scores[kind]
+    found = accuracy_measures(answers, right, weights)
+    found["goal_top3_accuracy",] = Resampled.mean(weights, scores["goal"]["in_top"], of_shares=True)
+    for kind, of_kind in scores.items():
         for path, chosen in answers.parts(kind).items():
             part = np.where(chosen, of_kind["truth"], np.nan)
-            measures[*path, f"{kind}_log_score_truth"] = mean_measure(weights, part)
-        measures["human", f"{kind}_r"] = _r(answers, kind, weights)
-        for name in ("log_score", "js"):
-            measures["human", f"{prefix}{name}"] = mean_measure(weights, of_kind[name])
-    given_truth = _r(answers, "relation", weights, given_truth=True)
-    measures["human", "relation_r_given_truth"] = given_truth
-    return measures
-
-
-def _r(answers: Answers, kind: str, weights: FloatArray, *, given_truth: bool = False) -> Resampled:
-    """Return r of model and people."""
-    x, y = answers.array(kind, "probability"), answers.array(kind, "people")
-    if not given_truth:
-        return Resampled(correlation(weights, by_event(x), by_event(y)), events_with(x * y))
-    groups = same_truth(label_places(answers.array(kind, "truth")))
-    values = correlation(weights, by_event(x), by_event(y), by_event(groups))
-    return Resampled(values, events_with(np.where(groups < 0, np.nan, x * y)))
-
-
-def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
-    """Return the mean of values (event, answer), possibly shares from 0 to 1."""
-    scores = values if of_shares else None
-    return Resampled(weighted_mean(weights, values), events_with(values), scores)
+            found[*path, f"{kind}_log_score_truth"] = Resampled.mean(weights, part)
+    found |= {("human", name): one for name, one in agreement(answers, weights).items()}
+    x, y, true = (answers.array("relation", c) for c in ("probability", "people", "truth"))
+    groups = same_truth(label_places(true))
+    found["human", "relation_r_given_truth"] = Resampled(
+        correlation(weights, by_event(x), by_event(y), by_event(groups)),
+        events_with(np.where(groups < 0, np.nan, x * y)),
+    )
+    return found
 
 
 def accuracy_measures(
@@ -343,17 +240,12 @@ def accuracy_measures(
     ``right`` is kind -> (event, question) score of the answer, 0 to 1; NaN: unknown.
     """
     return {
-        (*path, f"{kind}_accuracy"): mean_measure(
+        (*path, f"{kind}_accuracy"): Resampled.mean(
             weights, np.where(chosen, values, np.nan), of_shares=True
         )
         for kind, values in right.items()
         for path, chosen in answers.parts(kind).items()
     }
-
-
-def events_with(values: FloatArray) -> int:
-    """Return the number of events (first axis) with any value that is not NaN."""
-    return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
 
 
 SURE: Final = (0.0, 0.5, 0.8, 0.95)
@@ -385,10 +277,11 @@ def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
     return {"n": int(np.isfinite(known).sum()), "accuracy": proportion(known)}
 
 
-def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
+def count_scenarios(result: dict[str, Any], events: Sequence[Event]) -> None:
     """Put the number of events of each true scenario into ``by_scenario``."""
+    counts = Counter(map(true_scenario, events))
     for name, part in result.get("by_scenario", {}).items():
-        part["n"] = int((scenario == SCENARIOS.index(name)).sum())
+        part["n"] = counts[name]
 
 
 def put(result: dict[str, Any], entries: Mapping[Place, Any]) -> None:
@@ -454,7 +347,7 @@ def human_accuracy(
     for place, right in ((result, share), (of_majority, majority)):
         measures = accuracy_measures(answers, right, weights)
         put(place, {path: one.measure() for path, one in measures.items()})
-        count_scenarios(place, answers.scenarios)
+        count_scenarios(place, chosen)
     result["majority"] = of_majority
     known = responses_of(chosen) is not None
     result["by_participant"] = participant_accuracy(chosen) if known else None

@@ -49,7 +49,6 @@ class _Record(msgspec.Struct):
     relation_counts: dict[str, _People] | None = None
     goal_counts: _Votes | None = None
     responses: list[dict[str, str | _Seconds | dict[str, _Share] | None]] | None = None
-    n_raters: _People | None = None
     rehearsal: bool = False
 
 
@@ -60,7 +59,6 @@ class Judgments:
     Attributes:
         counts: question -> ratings for its answers, in label order. A graded answer, such as a
             slider for every label, is one rating divided among them.
-        n_raters: people who answered at least one question.
         responses: participant -> question -> answer, a label or label -> share; empty where only
             counts are known.
         world: of the event; it has the questions and their answers.
@@ -73,7 +71,6 @@ class Judgments:
     SCRIPTED: ClassVar = "scripted-"
 
     counts: Mapping[str, IntArray | FloatArray]
-    n_raters: int
     responses: Rows = dataclasses.field(default_factory=dict)
     world: World = PHASE
     moments: Mapping[float, Judgments] = dataclasses.field(default_factory=dict)
@@ -113,7 +110,7 @@ class Judgments:
         world: World = PHASE,
         moments: Mapping[float, Rows] = MappingProxyType({}),
     ) -> Judgments:
-        """Count the ratings in participant -> question -> answer; who answered nothing is no rater.
+        """Count the ratings in participant -> question -> answer.
 
         ``moments`` has the same for seconds of the film.
 
@@ -133,25 +130,23 @@ class Judgments:
             if said:
                 counts[question] = np.sum([votes_for(one, labels) for one in said], axis=0)
         later = {at: cls.of_responses(moments[at], world) for at in sorted(moments)}
-        people = {*given, *(who for one in later.values() for who in one.responses)}
-        return cls(counts, len(people), given, world, {a: o for a, o in later.items() if o.counts})
+        return cls(counts, given, world, {at: one for at, one in later.items() if one.counts})
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], world: World = PHASE) -> Judgments | None:
         """Read the judgments of an event file; None where nobody judged.
 
         Fields: ``counts`` {question: {answer: ratings}}, for which ``relation_counts`` {relation:
-        ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, ``n_raters``, and
-        ``responses``, a list of objects with ``participant`` and answers to the questions: a label,
-        or {label: share}. With ``at``, seconds of the film, they are not counted in ``counts``.
-        ``rehearsal``, true, marks those of scripted people. All are optional, answers without
-        ratings may be left out, fields of other names (such as ``majority``) are not read. Goals
-        are effective goals.
+        ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, and ``responses``, a list
+        of objects with ``participant`` and answers to the questions: a label, or {label: share}.
+        With ``at``, seconds of the film, they are not counted in ``counts``. ``rehearsal``, true,
+        marks those of scripted people. All are optional, answers without ratings may be left out,
+        fields of other names (such as ``majority``) are not read. Goals are effective goals.
 
         Raises:
-            InvalidEventError: ratings that are negative or no whole number, more ratings than
-                raters, fewer raters than ratings can come from, responses that contradict the
-                counts; or the record has fields, but none of those that hold ratings.
+            InvalidEventError: ratings that are negative or no whole number, responses that
+                contradict the counts; or the record has fields, but none of those that hold
+                ratings.
             UnknownNameError: no such agent, goal, relation or question.
         """
         known = _Record.__struct_fields__[:4]
@@ -172,7 +167,7 @@ class Judgments:
                 raise InvalidEventError(f"{question} has more than {MAX_RATINGS} votes")
             if values.any():
                 counts[question] = values
-        found = cls(counts, 0, world=world)
+        found = cls(counts, world=world)
         if given.responses is not None:
             rows = _by_participant(given.responses)
             of_whole = rows.pop(None, None)
@@ -185,23 +180,8 @@ class Judgments:
                     values, found.counts.get(question, ())
                 ):
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
-        totals = [round(float(values.sum())) for values in found.counts.values()]
-        most, n_raters = max(totals, default=0), given.n_raters
-        if found.responses or (found.moments and not totals):
-            if n_raters not in (None, found.n_raters):
-                raise InvalidEventError(
-                    f"n_raters is {n_raters}, but {found.n_raters} people responded"
-                )
-        else:
-            least, total = max(most, found.n_raters), sum(totals) + found.n_raters
-            if n_raters is not None and not least <= n_raters <= total:
-                raise InvalidEventError(
-                    f"n_raters is {n_raters}, but there are {most} votes on a question, "
-                    f"{total} in all"
-                )
-            found = dataclasses.replace(found, n_raters=least if n_raters is None else n_raters)
         found = dataclasses.replace(found, rehearsal=given.rehearsal)
-        return found if totals or found.moments else None
+        return found if found.counts or found.moments else None
 
     def to_record(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
@@ -217,7 +197,6 @@ class Judgments:
             for who, row in one.responses.items()
         ]
         return {
-            "n_raters": self.n_raters,
             "counts": given,
             **({"responses": rows} if rows else {}),
             **({"rehearsal": True} if self.scripted else {}),

@@ -17,24 +17,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
-from phase_ppl.evaluation.cells import Table, metric_tables, number
-from phase_ppl.evaluation.comparison import (
-    ModelComparison,
+from phase_ppl.evaluation.cells import (
+    Table,
     difference_tables,
     equivalence_tables,
+    metric_tables,
+    number,
 )
-from phase_ppl.evaluation.evaluation import COMPARISON, SETTINGS
-from phase_ppl.evaluation.figures.frame import DRAWINGS, Results, opened
-from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.comparison import ModelComparison, Source, label_of
+from phase_ppl.evaluation.evaluation import COMPARISON, SETTINGS, Evaluation
+from phase_ppl.evaluation.figures.frame import DRAWINGS, opened
+from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
-from phase_ppl.evaluation.table import (
-    PEOPLE,
-    AnswerSet,
-    label_of,
-    titles_of,
-    true_answers,
-    true_scenario,
-)
+from phase_ppl.evaluation.table import titles_of, true_answers, true_scenario
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
@@ -90,7 +85,16 @@ def report(
             f"no {COMPARISON})"
         )
     check_output(target, (".html",))
-    return write_page(page_of(opened(source), progress=progress), target)
+    if (source / COMPARISON).is_file():
+        return write_page(page_of(opened(source), progress=progress), target)
+    one = Evaluation.load(source)
+    state = f"{len(one.predictions)} of {len(one.events)} events predicted"
+    settings = {"failures": one.failures, **one.settings, "cost": one.cost}
+    text = page_of(
+        one.compared, [f"{state}." if one.finished else f"{state}; not finished."],
+        title=f"Evaluation of {label_of(one.name)}", settings=settings, progress=progress,
+    )  # fmt: skip
+    return write_page(text, target)
 
 
 def write_page(text: str, path: str | os.PathLike[str]) -> Path:
@@ -100,37 +104,29 @@ def write_page(text: str, path: str | os.PathLike[str]) -> Path:
 
 
 def page_of(
-    results: Results,
+    results: ModelComparison,
     notes: Sequence[str] = (),
     tables: Mapping[str, Sequence[Table]] | None = None,
     more: Iterable[Drawn] = (),
     *,
-    title: str = "",
+    title: str = "Comparison of models",
+    settings: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> str:
     """Return a page with all that there is of results, below further notes and tables.
 
-    ``more`` are titles, words and functions that draw figures of something else.
+    ``more`` are titles, words and functions that draw figures of something else. ``settings`` are
+    of a single evaluation, which is not compared.
     """
-    models = {one.name: one.metrics for one in results.measured}
-    people = models.pop(PEOPLE, None)
-    summary = list(metric_tables(list(models.items()), people))
-    told = [INTERVALS if summary else NOTHING_TO_COMPARE]
+    summary = list(metric_tables(list(results.metrics.items()), results.people))
     shown = {**(tables or {}), "Summary": summary}
-    if isinstance(results, ModelComparison):
-        title = title or "Comparison of models"
+    told = [INTERVALS if summary else NOTHING_TO_COMPARE]
+    if settings is None:
         about = f"{', '.join(results.models)} on {len(results.events)} events."
         told = [about, *(f"{note}." for note in results.notes), *told]
         shown["Differences"] = difference_tables(results)
         shown["Equivalence with people"] = equivalence_tables(results)
         settings = {**results.settings, "models": {o.name: o.settings for o in results.entries}}
-    else:
-        title = f"Evaluation of {label_of(results.name)}"
-        state = f"{len(results.predictions)} of {len(results.events)} events predicted"
-        if not results.finished:
-            state += "; not finished: tables and figures are about these"
-        told = [f"{state}.", *told]
-        settings = {"failures": results.failures, **results.settings, "cost": results.cost}
     found: list[Drawn] = [
         (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
     ]
@@ -145,7 +141,7 @@ def page_of(
         **{"title": title, "warning": warning, "notes": [*notes, *told], "tables": shown},
         **{"drawn": drawn, "left_out": left_out, "version": phase_ppl.__version__},
         "items": [
-            _item(e, results.answers) for e in counted(results.events, progress, "event", "showing")
+            _item(e, results.sources) for e in counted(results.events, progress, "event", "showing")
         ],
         "settings": json.dumps(plain(settings), indent=1),
     }
@@ -155,15 +151,15 @@ def page_of(
 # --- an event ------------------------------------------------------------------------------------
 
 
-def _item(event: Event, everybody: Sequence[AnswerSet]) -> dict[str, Any]:
+def _item(event: Event, everybody: Sequence[Source]) -> dict[str, Any]:
     """Return what the page shows of an event."""
     said = {one: one.predictions[event.id] for one in everybody if event.id in one.predictions}
     image = draw_strip(event, min(_PANELS, event.observation.n_frames))
-    told = [true_scenario(event) or _told(event)]
-    truth = true_answers(event).items()
+    true, titles = true_answers(event), titles_of(event.scene.world)
+    told = [true_scenario(event) or ", ".join(true.values()) or "truth not known"]
     models = {one.label: given.answers for one, given in said.items() if one.kind != "people"}
-    if truth:
-        right = [label for label, given in models.items() if given and given.items() <= truth]
+    if true:
+        right = [name for name, given in models.items() if given and given.items() <= true.items()]
         told.append(f"right in all they answered: {', '.join(right) or 'nobody'}")
     if all(one.kind != "model" for one in said):
         told.append("no prediction")
@@ -172,15 +168,21 @@ def _item(event: Event, everybody: Sequence[AnswerSet]) -> dict[str, Any]:
         "told": " \N{MIDDLE DOT} ".join(told),
         "strip": _picture(image, f"Film strip of {event.id}, from first to last frame."),
         "tables": [
-            _answers(name, said, event).rename_axis(title)
-            for name, title in titles_of(event.scene.world).items()
+            answers_table(
+                name, {one.label: given for one, given in said.items()}, event
+            ).rename_axis(title)
+            for name, title in titles.items()
             if any(name in given.answers for given in said.values())
         ],
     }
 
 
-def _answers(question: str, said: Mapping[AnswerSet, Prediction], event: Event) -> pd.DataFrame:
-    """Return answer x whose it is -> its probability, with the error where that is known."""
+def answers_table(question: str, said: Mapping[str, Prediction], event: Event) -> pd.DataFrame:
+    """Return answer x whose it is -> its probability, with the error where that is known.
+
+    Rows are the answers given, the true one, and those probable to somebody.
+    """
+    true = true_answers(event).get(question)
 
     def cell(given: Prediction, label: str) -> str:
         if question not in given.probabilities:
@@ -188,33 +190,16 @@ def _answers(question: str, said: Mapping[AnswerSet, Prediction], event: Event) 
         value = given.estimate(question, label)
         return number(value) + ("" if np.isnan(value.error) else f" ± {number(value.error)}")
 
-    true = true_answers(event).get(question)
-    rows = rows_of(question, list(said.values()), event)
+    labels = questions_of(event.scene.world)[question]
+    given = [one.probabilities[question] for one in said.values() if question in one.probabilities]
+    highest = np.max([np.zeros(len(labels)), *given], axis=0)
+    asked = {true, *(one.answers.get(question) for one in said.values())}
+    pairs = zip(labels, highest, strict=True)
+    rows = [label for label, p in pairs if p >= _WORTH_A_ROW or label in asked]
     return pd.DataFrame(
-        {one.label: [cell(given, label) for label in rows] for one, given in said.items()},
+        {name: [cell(given, label) for label in rows] for name, given in said.items()},
         [f"{label} (true)" if label == true else label for label in rows],
     )
-
-
-def rows_of(question: str, made: Sequence[Prediction], event: Event) -> list[str]:
-    """Return the answers worth a row: those given, the true one, those probable to somebody."""
-    labels = questions_of(event.scene.world)[question]
-    given = [one.probabilities[question] for one in made if question in one.probabilities]
-    highest = np.max([np.zeros(len(labels)), *given], axis=0)
-    asked = {true_answers(event).get(question), *(one.answers.get(question) for one in made)}
-    pairs = zip(labels, highest, strict=True)
-    return [label for label, p in pairs if p >= _WORTH_A_ROW or label in asked]
-
-
-def _told(event: Event) -> str:
-    """Return in a few words what is true of an event that has no scenario."""
-    true = true_answers(event)
-    pairs = [
-        f"{title.removeprefix('Relation of ')} {true[question]}"
-        for question, title in titles_of(event.scene.world).items()
-        if question in true and question in pairs_of(event.scene.world)
-    ]
-    return ", ".join(pairs or true.values()) or "truth not known"
 
 
 # --- made from a template (Jinja2), with their pictures and style inside -------------------------

@@ -25,7 +25,7 @@ import pandas as pd
 from phase_ppl.data.generated import MANIFEST
 from phase_ppl.evaluation.bootstrap import Measure, proportion
 from phase_ppl.evaluation.cells import Table, lines_of, measure_text
-from phase_ppl.evaluation.comparison import ModelComparison, compare_models
+from phase_ppl.evaluation.comparison import ModelComparison, compare_models, label_of
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation, all_events
 from phase_ppl.evaluation.experiments import Likeness, Tags, load_likeness, load_tags
@@ -34,7 +34,7 @@ from phase_ppl.evaluation.figures import tags as tags_figure
 from phase_ppl.evaluation.judgments import judged
 from phase_ppl.evaluation.metrics import at, human_accuracy
 from phase_ppl.evaluation.registry import model_info, not_installed
-from phase_ppl.evaluation.table import PEOPLE, label_of
+from phase_ppl.evaluation.table import PEOPLE
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.errors import (
     AnswerError,
@@ -400,13 +400,18 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
 _STORED: Final = {SIMPLE: "simple_authors", SOCIALGNN: "socialgnn_2023"}
 """Paper's model -> the authors' own answers, where the events carry them."""
 
+_JUDGED: Final = "people's judgments (--judgments)"
 _NEEDS: Final = {
+    PEOPLE: _JUDGED,
     VLM: "answers of a vision-language model (--vlm-store)",
     LABELLED: "labels by people (--tags)",
     RATED: "ratings by people (--likeness)",
     STEERED: "videos that people steer, with judgments (--steered)",
     "of_category": "what a goal category is, which the paper does not say",
+    "human": f"the model's probabilities, and {_JUDGED}",
+    "like_people": _JUDGED,
 }
+"""Of whom, or the first part of the path -> which data a number takes."""
 
 
 def _cells(
@@ -444,36 +449,17 @@ def _cells(
                 said = "not computable" if alone else verdict(printed, ours)
                 yield Cell(printed, label, ours, said, why, videos)
                 continue
-            judged = any(at(of_other, path) is not None for of_other in metrics.values())
-            unsure = "its probabilities" if judged and path[0] == "human" else None
-            needed = _NEEDS.get(printed.whose) or _NEEDS.get(path[0])
-            why = missing.get(label) or needed or unsure or _data(printed)
-            yield Cell(printed, label, None, "not computable", why)
-
-
-def _data(printed: Printed) -> str:
-    """Return which data a number takes."""
-    goals = "goal" in printed.path
-    if printed.path.startswith(("human", "like_people")) or printed.whose == PEOPLE:
-        what = f"people's judgments of {'goals' if goals else 'relations'} (--judgments)"
-        if printed.path.startswith("human") and printed.whose != PEOPLE:
-            what = f"probabilities, and {what}"
-    else:
-        what = f"answers about {'goals' if goals else 'relations'}"
-    if printed.path.startswith("by_scenario"):
-        what += f", in {printed.path.split('.')[1]} events"
-    return what
+            needed = _NEEDS.get(printed.whose) or _NEEDS.get(path[0]) or "answers about such events"
+            yield Cell(printed, label, None, "not computable", missing.get(label) or needed)
 
 
 def _like_people(comparison: ModelComparison, name: str) -> dict[str, Measure]:
     """Return kind -> in how many types of scenario a model is no different from people."""
     found: dict[str, Measure] = {}
     for kind in ("goal", "relation"):
-        p = [
-            row["p"]
-            for row in comparison.equivalence
-            if (row["model"], row["measure"]) == (name, f"{kind}_accuracy") and row["scenario"]
-        ]
+        asked = (name, f"{kind}_accuracy")
+        rows = [r for r in comparison.equivalence if (r["model"], r["measure"]) == asked]
+        p = [row["p"] for row in rows if row["scenario"]]
         if len(p) == len(SCENARIOS) and None not in p:
             found[kind] = _count(sum(one >= 0.05 for one in p))
     return found

@@ -6,9 +6,7 @@ are computed from it.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import itertools
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
@@ -18,8 +16,8 @@ import pandas as pd
 
 from phase_ppl.analysis.quantities import relations_of, titles
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of
-from phase_ppl.evaluation.ratings import Judgments, rehearsed
-from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Hypothesis
@@ -214,12 +212,6 @@ class Answers:
         """Return what the model says, as a key."""
         return self.rows[["answer", "probability"]].to_numpy().tobytes()
 
-    @functools.cached_property
-    def scenarios(self) -> IntArray:
-        """(event,) indices of the true scenarios, -1 where unknown."""
-        names = map(true_scenario, self.events)
-        return np.array([-1 if name is None else SCENARIOS.index(name) for name in names], np.int64)
-
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
     """Return the events that have a prediction."""
@@ -267,103 +259,15 @@ def _marked(labels: Sequence[str], label: str | None) -> list[bool] | None:
     return None if label is None else [one == label for one in labels]
 
 
-# --- whose answers they are ----------------------------------------------------------------------
-
 PEOPLE: Final = "people"
-PEOPLE_COLOUR: Final = "#3c3c3c"
-MODEL_COLOUR: Final = "#0072b2"
-
-LABELS: Final[Mapping[str, str]] = {
-    "simple": "SIMPLE",
-    "simple_as_printed": "SIMPLE as printed",
-    "simple_as_intended": "SIMPLE as intended",
-    "simple_authors": "authors' SIMPLE",
-    "socialgnn": "SocialGNN",
-    "socialgnn_original": "SocialGNN, original",
-    "socialgnn_2023": "SocialGNN 2023",
-    "cue_lstm_2023": "cue LSTM 2023",
-    "predicate": "predicate planning",
-    "predicate_as_printed": "predicates as printed",
-    "vlm": "VLM",
-}
-"""How known sources are called in figures; others by their names, with spaces."""
-
-COLOURS: Final[Mapping[str, str]] = {
-    "simple": MODEL_COLOUR,
-    "simple_authors": "#d55e00",
-    "socialgnn_2023": "#009e73",
-    "cue_lstm_2023": "#9a4c8f",
-    "predicate": "#8a6d00",
-    "socialgnn": "#56a0d3",
-    "vlm": "#b0507a",
-    "last_frame": "#7f7f7f",
-    "majority": "#a5ad00",
-}
-"""Colours of known sources, the same in all figures, to be told apart without seeing red and
-green apart."""
-
-PALETTE: Final = (
-    *COLOURS.values(),
-    *("#e69f00", "#a50f15", "#6fc7b2", "#5b3fa0", "#a0643c", "#2b5d34", "#ff8fab"),
-)
-"""From which the others get theirs."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class AnswerSet:
-    """What one source answered about events."""
-
-    name: str  # of the source, as in files
-    # "people", "model" or "reference" (a model whose answers the events carry)
-    kind: str
-    label: str  # of the source, as in figures
-    colour: str  # in figures
-    # event id -> answers; people's probabilities are shares of their ratings
-    predictions: Mapping[str, Prediction]
-    # of them, where they were asked for
-    metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-
-
-def answer_sets(
-    events: Sequence[Event],
-    models: Mapping[str, Mapping[str, Prediction]],
-    references: Collection[str],
-) -> list[AnswerSet]:
-    """Return people's answers and those of models, in order; whoever has none is left out.
-
-    Args:
-        events: that may carry people's judgments.
-        models: name -> event id -> answers.
-        references: those models whose answers the events carry.
-    """
-    labels = [label_of(name) for name in models]
-    colours = itertools.cycle(c for c in PALETTE if c not in map(COLOURS.get, models))
-    people = f"scripted {PEOPLE}" if rehearsed(events) else PEOPLE
-    found = [AnswerSet(PEOPLE, PEOPLE, people, PEOPLE_COLOUR, peoples_answers(events))]
-    for name, label in zip(models, labels, strict=True):
-        kind = "reference" if name in references else "model"
-        unlike = label if labels.count(label) == 1 else name
-        colour = COLOURS.get(name) or next(colours)
-        found.append(AnswerSet(name, kind, unlike, colour, models[name]))
-    return [answers for answers in found if answers.predictions]
 
 
 def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     """Return the shares of people's ratings, of the events that people judged."""
-    found = {}
-    for event in events:
-        judgments = Judgments.of(event)
-        if judgments is not None and judgments.counts:
-            shares = {q: ratings / ratings.sum() for q, ratings in judgments.counts.items()}
-            found[event.id] = Prediction(event.id, shares, world=event.scene.world)
-    return found
-
-
-def reference_label(name: str, models: Collection[str]) -> str:
-    """Return how a model whose answers the events carry is called beside other models."""
-    return f"{name} (stored)" if name in models or name == PEOPLE else name
-
-
-def label_of(name: str) -> str:
-    """Return how figures call a source."""
-    return LABELS.get(name, name.replace("_", " "))
+    judged = [(event, one) for event in events if (one := Judgments.of(event)) and one.counts]
+    return {
+        event.id: Prediction(
+            event.id, {q: n / n.sum() for q, n in one.counts.items()}, world=event.scene.world
+        )
+        for event, one in judged
+    }

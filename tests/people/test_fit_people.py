@@ -303,7 +303,7 @@ def test_commands_fit_and_ask_an_observer(
     monkeypatch.setattr(ppl, "fit_people", brief)
     given = ["--source", "cues", "--observer", "lapsing", "--out", out]
     assert "ELPD" in told(capsys, "fit-people", videos, *given)
-    given = ["--model", "chance", "--observer", out, "--no-figures", "--out", tmp_path / "results"]
+    given = ["--model", "chance", "--observer", out, "--out", tmp_path / "results"]
     told(capsys, "evaluate", videos, *given)
     metrics = json.loads((tmp_path / "results" / "metrics.json").read_text())
     assert metrics["doubt"]["ceiling"]["spearman_brown"] is not None

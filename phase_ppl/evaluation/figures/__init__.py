@@ -8,7 +8,7 @@ a figure, it raises :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawErr
 
 # pages show the figures in the order of these imports
 # isort: off
-from phase_ppl.evaluation.figures.frame import DRAWINGS, draw_figures
+from phase_ppl.evaluation.figures.frame import DRAWINGS
 from phase_ppl.evaluation.figures.rows import accuracy, correlation, confusion
 from phase_ppl.evaluation.figures.people import likeness, over_time, people
 from phase_ppl.evaluation.figures.people import scatter_goals, tags
@@ -19,7 +19,6 @@ __all__ = [
     "accuracy",
     "confusion",
     "correlation",
-    "draw_figures",
     "likeness",
     "over_time",
     "people",

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 from phase_ppl.analysis.figures.style import GREY, NORMAL, in_style, warned, written
 from phase_ppl.evaluation.cells import KIND_WORDS
-from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.comparison import ModelComparison, Source
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
-from phase_ppl.evaluation.table import AnswerSet, true_scenario
+from phase_ppl.evaluation.table import true_scenario
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.files import writable_folder
+from phase_ppl.world.event import Event
 from phase_ppl.world.picture import SCENARIO_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PathLike: TypeAlias = str | os.PathLike[str]
-Results: TypeAlias = Evaluation | ModelComparison
-Source: TypeAlias = Results | PathLike
+Results: TypeAlias = Evaluation | ModelComparison | PathLike
 
 KIND_TITLES: Final[dict[str, str]] = {
     kind: words.capitalize() for kind, words in KIND_WORDS.items()
 }
-
-FOLDER: Final = "figures"  # subfolder of the results
 
 _CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
 _WIDEST: Final = 2.2  # most inches for names of rows; longer names get a smaller font
@@ -63,9 +59,9 @@ def drawing(title: str) -> Callable[[_Draw], _Draw]:
 
     def keep(draw: _Draw) -> _Draw:
         @functools.wraps(draw)
-        def marked(source: Source, path: PathLike | None = None, **options: Any) -> Figure:
+        def marked(source: Results, path: PathLike | None = None) -> Figure:
             results = opened(source)
-            figure: Figure = draw(results, **options)
+            figure: Figure = draw(results)
             if rehearsed(results.events):
                 warned(figure, REHEARSAL)
             return written(figure, path)
@@ -78,17 +74,17 @@ def drawing(title: str) -> Callable[[_Draw], _Draw]:
     return keep
 
 
-def opened(source: Source) -> Results:
-    """Return results, read from their folder if ``source`` is a path."""
-    if not isinstance(source, str | os.PathLike):
-        return source
-    comparison = (Path(source) / COMPARISON).is_file()
-    return (ModelComparison if comparison else Evaluation).load(source)
+def opened(source: Results) -> ModelComparison:
+    """Return results as a comparison; an evaluation beside people and models of the events."""
+    if isinstance(source, str | os.PathLike):
+        comparison = (Path(source) / COMPARISON).is_file()
+        source = (ModelComparison if comparison else Evaluation).load(source)
+    return source.compared if isinstance(source, Evaluation) else source
 
 
-def scenarios_of(results: Results) -> dict[str, str]:
+def scenarios_of(events: Iterable[Event]) -> dict[str, str]:
     """Return event -> true scenario, of the events of PHASE whose truth is known."""
-    return {event.id: name for event in results.events if (name := true_scenario(event))}
+    return {event.id: name for event in events if (name := true_scenario(event))}
 
 
 def scenario_colour(name: str) -> str:
@@ -105,7 +101,7 @@ def fitting(texts: Iterable[str], width: float = _WIDEST, most: float = NORMAL) 
     return min(most, 72 * width / (_CHARACTER * max((len(text) for text in texts), default=1)))
 
 
-def width_of(shown: Iterable[AnswerSet]) -> float:
+def width_of(shown: Iterable[Source]) -> float:
     """Return the approximate inches for names beside a figure, margins included."""
     labels = [answers.label for answers in shown]
     return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
@@ -116,28 +112,3 @@ def in_words(counts: Iterable[int]) -> str:
     known = sorted(counts)
     least, most = known[0], known[-1]
     return f"n = {most}" if least == most else f"n = {least} to {most}"
-
-
-def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:
-    """Write all figures that the results allow into ``figures/``, as PNG; return the files.
-
-    With ``progress`` the figures left out, and why, are printed on standard error.
-
-    Raises:
-        InvalidEventError, UnknownNameError: a file in the folder is damaged.
-        OutputError: a file cannot be written.
-    """
-    results = opened(source)
-    target = writable_folder(folder / FOLDER)
-    files = []
-    for name, drawing in DRAWINGS.items():
-        file = target / f"{name}.png"
-        try:
-            drawing.draw(results, file)
-        except NothingToDrawError as reason:
-            file.unlink(missing_ok=True)  # outdated figure of earlier results
-            if progress:
-                print(f"no figure {name}: {reason}", file=sys.stderr)
-        else:
-            files.append(file)
-    return files

@@ -21,6 +21,7 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.evaluation.cells import measure_text, number
+from phase_ppl.evaluation.comparison import PEOPLE_COLOUR, Source
 from phase_ppl.evaluation.doubt import label_places, rows_of
 from phase_ppl.evaluation.experiments import (
     MARGIN,
@@ -33,7 +34,7 @@ from phase_ppl.evaluation.experiments import (
 from phase_ppl.evaluation.figures.frame import (
     NothingToDrawError,
     PathLike,
-    Source,
+    Results,
     drawing,
     fitting,
     opened,
@@ -44,7 +45,7 @@ from phase_ppl.evaluation.figures.frame import (
 from phase_ppl.evaluation.metrics import at as metric_at
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
-from phase_ppl.evaluation.table import PEOPLE_COLOUR, Answers, AnswerSet, responses_of, titles_of
+from phase_ppl.evaluation.table import Answers, responses_of, titles_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
@@ -58,16 +59,16 @@ if TYPE_CHECKING:
 
 
 @drawing("Goals: models against people")
-def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
+def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of goals against people's.
 
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
     results = opened(source)
-    scenarios = scenarios_of(results)
-    clouds: dict[AnswerSet, pd.DataFrame] = {}
-    for o in results.measured:
+    scenarios = scenarios_of(results.events)
+    clouds: dict[Source, pd.DataFrame] = {}
+    for o in results.sources:
         rows = Answers.of(results.events, o.predictions).whole
         rows = rows[rows["kind"] == "goal"].dropna(subset=["people", "probability"])
         if o.kind != "people" and len(rows):
@@ -96,7 +97,7 @@ def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
             label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
             color=answers.colour,
         )  # fmt: skip
-    judged = next(o.predictions for o in results.measured if o.kind == "people")
+    judged = next(o.predictions for o in results.sources if o.kind == "people")
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
         n = sum(scenarios.get(event, "") == name for event in judged)
         style = {"color": scenario_colour(name), "fontweight": "bold"}
@@ -114,7 +115,7 @@ _PARTS: Final = ("relation_r", "relation_r_given_truth")
 
 
 @drawing("Doubt: models against people")
-def people(source: Source, path: PathLike | None = None) -> Figure:
+def people(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's shares.
 
     Each model has a row of two panels. The first shows probabilities against shares, the second
@@ -125,7 +126,7 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: nobody judged relations to which a model gives probabilities.
     """
     results = opened(source)
-    shown = [o for o in results.measured if o.kind != "people" and o.metrics.get("doubt")][:_MODELS]
+    shown = [o for o in results.sources if o.kind != "people" and o.metrics.get("doubt")][:_MODELS]
     if not shown:
         raise NothingToDrawError(
             "nobody judged the relation of two agents to which a model gives probabilities"
@@ -138,7 +139,7 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
         "relation. In brackets: 95 % intervals.",
     )
     grid = figure.subplots(len(shown), 2, squeeze=False)
-    scenarios = scenarios_of(results)
+    scenarios = scenarios_of(results.events)
     for (left, right), answers in zip(grid, shown, strict=True):
         events = [event for event in results.events if event.id in answers.predictions]
         said = Answers.of(events, answers.predictions)
@@ -185,12 +186,10 @@ _TICKS: Final = 5  # moments that the axis names
 _NOTHING: Final = "nobody judged at a moment of a film"
 
 
-def _models(source: Source) -> tuple[list[Event], list[AnswerSet]]:
+def _models(source: Results) -> tuple[list[Event], list[Source]]:
     """Return the events that people judged at moments, and models' answers at these."""
     results = opened(source)
-    models = [
-        one for one in results.measured if one.kind != "people" and one.metrics.get("moments")
-    ]
+    models = [one for one in results.sources if one.kind != "people" and one.metrics.get("moments")]
     judged = Answers.of(results.events, {}).rows.dropna(subset="at")["event"].unique()
     if not len(judged) or not models:
         raise NothingToDrawError(_NOTHING)
@@ -198,7 +197,7 @@ def _models(source: Source) -> tuple[list[Event], list[AnswerSet]]:
 
 
 @drawing("People and models over time")
-def over_time(source: Source, path: PathLike | None = None) -> Figure:
+def over_time(source: Results, path: PathLike | None = None) -> Figure:
     """Draw people and models over the film, for up to four events and five answers each.
 
     The answers are the relations of two agents, and of every other question the one that people
@@ -296,7 +295,7 @@ def _timed(axes: Axes, moments: Iterable[float]) -> None:
         axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
 
 
-def _named(figure: Figure, models: list[AnswerSet]) -> None:
+def _named(figure: Figure, models: list[Source]) -> None:
     """Write whose lines are which above the axes."""
     from matplotlib.lines import Line2D
 

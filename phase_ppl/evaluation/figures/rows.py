@@ -11,11 +11,12 @@ import pandas as pd
 
 from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, SMALL, new_figure, titled
 from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.comparison import Source
 from phase_ppl.evaluation.figures.frame import (
     KIND_TITLES,
     NothingToDrawError,
     PathLike,
-    Source,
+    Results,
     drawing,
     fitting,
     in_words,
@@ -24,7 +25,7 @@ from phase_ppl.evaluation.figures.frame import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.table import Answers, AnswerSet, parts_of, world_of
+from phase_ppl.evaluation.table import Answers, parts_of, world_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 
@@ -33,13 +34,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Row = dict[str, Any]  # value, ends of its interval, and further fields
-_Rows = Mapping[AnswerSet, "_Row | None"]
+_Rows = Mapping[Source, "_Row | None"]
 
 _DARK: Final = 0.65  # least share of a row at which its number is white
 
 
 @drawing("Accuracy by scenario, or by agent and pair")
-def accuracy(source: Source, path: PathLike | None = None) -> Figure:
+def accuracy(source: Results, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
     In other worlds than PHASE accuracy is by agent for goals, by pair for relations.
@@ -48,11 +49,11 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: no answer can be right or wrong.
     """
     results = opened(source)
-    counts = {o: _answered(results.events, o) for o in results.measured}
+    counts = {o: _answered(results.events, o) for o in results.sources}
     blocks: dict[str, Any] = {}
     for kind, title in KIND_TITLES.items():
         name = f"{kind}_accuracy"
-        shown = [o for o in results.measured if o.metrics.get(name) is not None]
+        shown = [o for o in results.sources if o.metrics.get(name) is not None]
         parts = parts_of(world_of(results.events), kind)
         parts = [p for p in parts if any(counts[o].get((kind, p[-1]), 0) for o in shown)]
         blocks[title] = {
@@ -70,7 +71,7 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     )  # fmt: skip
 
 
-def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, str], int]:
+def _answered(events: Sequence[Event], answers: Source) -> dict[tuple[str, str], int]:
     """Return (kind, part) -> number of answered questions with known truth."""
     rows = Answers.of(events, answers.predictions).whole
     known = rows.groupby(["event", "question"], sort=False).first().reset_index()
@@ -88,20 +89,20 @@ _CORRELATIONS: Final = {
 
 
 @drawing("Correlation with people")
-def correlation(source: Source, path: PathLike | None = None) -> Figure:
+def correlation(source: Results, path: PathLike | None = None) -> Figure:
     """Draw how well models, and people among themselves, correlate with people's answers.
 
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    models = [o for o in opened(source).measured if o.kind != "people"]
+    models = [o for o in opened(source).sources if o.kind != "people"]
     found = {
         title: {o: at(o.metrics, ("human", name)) for o in models}
         for title, (name, _) in _CORRELATIONS.items()
     }
     found = {title: rows for title, rows in found.items() if any(rows.values())}
     shown = [o for o in models if any(rows[o] for rows in found.values())]
-    parts: dict[str, dict[AnswerSet, _Row | None]] = {
+    parts: dict[str, dict[Source, _Row | None]] = {
         title: {o: rows[o] and {**rows[o], "n": o.metrics["n_events"]} for o in shown}
         for title, rows in found.items()
     }
@@ -164,7 +165,7 @@ def _panels(
     return figure
 
 
-def _name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
+def _name_rows(axes: Axes, shown: Sequence[Source]) -> None:
     """Write the names of the rows on the left, in their colours."""
     labels = [answers.label for answers in shown]
     axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
@@ -194,7 +195,7 @@ def _bars(axes: Axes, part: str, rows: _Rows) -> None:
 
 
 @drawing("Which scenario is taken for which")
-def confusion(source: Source, path: PathLike | None = None) -> Figure:
+def confusion(source: Results, path: PathLike | None = None) -> Figure:
     """Draw confusion matrices: true scenario against the scenario of the goals answered.
 
     Cells hold numbers of events, shades are shares of their row.
@@ -204,9 +205,9 @@ def confusion(source: Source, path: PathLike | None = None) -> Figure:
             has scenarios.
     """
     results = opened(source)
-    true = scenarios_of(results)
-    shown: dict[AnswerSet, np.ndarray] = {}
-    for o in results.measured:
+    true = scenarios_of(results.events)
+    shown: dict[Source, np.ndarray] = {}
+    for o in results.sources:
         pairs = [(true[e], p.scenario) for e, p in o.predictions.items() if e in true]
         told = pd.DataFrame(pairs, columns=["true", "answered"]).dropna()
         counts = pd.crosstab(told["true"], told["answered"])

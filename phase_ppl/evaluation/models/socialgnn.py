@@ -15,7 +15,6 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-import json
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -143,8 +142,8 @@ def train_socialgnn(
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
-        Per network and for all together the accuracies by split and scenario, the latter with 95 %
-        intervals; the curves, losses and accuracies per epoch; seconds of CPU.
+        Per network and for all together the accuracies by split and scenario, with 95 % intervals;
+        the curves, losses and accuracies per epoch; seconds of CPU.
 
     Raises:
         InvalidSettingError: PyTorch is not installed, or a number is not allowed.
@@ -252,11 +251,10 @@ def _finish(
         for name, shares in said[0].items()
     }
     report = {
-        "command": _command(settings, [record["seed"] for record in records]),
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
-        "together": _accuracy(splits, together, intervals=True),
+        "together": _accuracy(splits, together),
         "members": [
             {**record, "accuracy": _accuracy(splits, answers)}
             for record, answers in zip(records, said, strict=True)
@@ -268,39 +266,16 @@ def _finish(
     return report
 
 
-def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
-    """Return the command that makes these networks, of a set and in a folder of any name."""
-    usual = vars(TrainingSettings(settings.variant))
-    changed = {name: v for name, v in vars(settings).items() if v != usual[name]}
-    given = [f"--option {name}={json.dumps(value)}" for name, value in changed.items()]
-    given.append(f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR")
-    return f"phase-ppl train socialgnn --data SET --variant {settings.variant} {' '.join(given)}"
-
-
-def _accuracy(
-    splits: dict[str, list[Event]], said: Mapping[str, Shares], intervals: bool = False
-) -> dict[str, Any]:
-    """Return split -> accuracies over all its events and by scenario."""
+def _accuracy(splits: dict[str, list[Event]], said: Mapping[str, Shares]) -> dict[str, Any]:
+    """Return split -> accuracies over all its events and by scenario, with intervals."""
     result: dict[str, Any] = {}
     for split, events in splits.items():
         predictions = {event.id: Prediction(event.id, said[event.id]) for event in events}
         metrics = evaluate_predictions(events, predictions)
+        names = ("goal_accuracy", "relation_accuracy")
         by_scenario = {
-            name: {"n": of["n"], **_scores(of, intervals)}
-            for name, of in metrics["by_scenario"].items()
+            scenario: {name: of[name] for name in ("n", *names)}
+            for scenario, of in metrics["by_scenario"].items()
         }
-        result[split] = {**_scores(metrics, intervals), "by_scenario": by_scenario}
+        result[split] = {**{name: metrics[name] for name in names}, "by_scenario": by_scenario}
     return result
-
-
-def _scores(metrics: dict[str, Any], intervals: bool) -> dict[str, Any]:
-    found = {}
-    for name in ("goal_accuracy", "relation_accuracy"):
-        figure = metrics.get(name)
-        if figure is not None:
-            rounded = {
-                part: None if value is None else round(value, _DIGITS)
-                for part, value in figure.items()
-            }
-            found[name] = rounded if intervals else rounded["value"]
-    return found

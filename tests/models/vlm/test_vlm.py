@@ -220,7 +220,7 @@ def test_the_command_asks_a_service_and_writes_its_key_nowhere(
         echo = from_google(f"```json\n{text(key=key)}\n```")
         server.behaviours = [sends(echo), sends({"error": f"bad {key}"}, 400)]
         asked = ["evaluate", str(tmp_path / "events.json"), "--model", "vlm", "--quiet"]
-        asked += ["--no-figures", "--option", "client=google", "--option", "name=the-model"]
+        asked += ["--option", "client=google", "--option", "name=the-model"]
         asked += [f"--option=store={tmp_path / 'store'}"]
         field = ("base_url", str, server.url)
         here = dataclasses.make_dataclass("Here", [field], bases=(Google,), frozen=True)
