@@ -62,7 +62,6 @@ from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
-from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.models.socialgnn import train_socialgnn as train_socialgnn
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.prediction import pairs_of as pairs_of

@@ -23,18 +23,15 @@ if TYPE_CHECKING:
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that are options of the command."""
 
-_SHOWS: Final = ("out", "workers", "progress", "run", "executor")
-"""Options that are allowed when a stored evaluation is shown again."""
-
 
 def evaluate(options: Options) -> int:
     """Ask a model about many events, and score its answers.
 
-    The longest events come first. Without EVENTS, the evaluation in --out is read and shown
-    again. The last options are the model's; with several models, they go to all that take them.
+    The longest events come first. The last options are the model's; with several models, they go to
+    all that take them.
 
     Args:
-        [EVENTS]: an event file, a folder of event files, or a bundled event's name
+        EVENTS: an event file, a folder of event files, or a bundled event's name
         --model NAME...: stepwise, the closed loop (the default), simple or another. Given several
             times, all are evaluated and compared, each in a folder of its name in --out;
             LABEL=NAME gives another name
@@ -62,8 +59,6 @@ def evaluate(options: Options) -> int:
 
     example: phase-ppl evaluate videos.json --model simple --planner fast --out out
     """
-    if options.events is None:
-        return _show_again(options)
     models = users_parts.models_of(options.model)
     labelled = len(models) > 1 or list(models) != list(models.values())  # each has a folder
     if options.resume and options.out is None:
@@ -155,20 +150,6 @@ def _check_several(
     known = [*models, *(reference_label(name, models) for name in references)]
     if options.against is not None:
         check_name("model to compare with", options.against, known)
-
-
-def _show_again(options: Options) -> int:
-    """Show a stored evaluation."""
-    of_work = [f"--{name}" for name in options.given(*vars(options)) if name not in _SHOWS]
-    if options.out is None or of_work:
-        needed = f" with {', '.join(of_work)}" if of_work else ""
-        raise InvalidSettingError(
-            f"EVENTS is missing{needed}; only to show the evaluation in --out again needs none"
-        )
-    found = phase_ppl.Evaluation.load(options.out)
-    print(found)
-    _say_where(options.out)
-    return FAILED if found.failures else 0
 
 
 def _say_where(folder: Path | None) -> None:

@@ -471,14 +471,17 @@ def shared_events(
     (first, chosen), *others = given.items()
     notes = []
     for name, theirs in others:
-        if not common and digests[name] != digests[first]:
+        pairs = {
+            i: (digests[first].get(i), digests[name].get(i)) for i in {**given[first], **theirs}
+        }
+        apart = [i for i, (mine, other) in pairs.items() if mine != other]
+        if apart and not common:
             raise InvalidEventError(
-                f"{first} and {name} were asked about different events: "
-                f"{_differences(first, digests[first], name, digests[name])}; common=True "
+                f"{first} and {name} were asked about different events: {len(apart)}, such as "
+                f"{apart[0]!r}, are in one only, or differ in scene or observation; common=True "
                 "(--common) compares them on the events that all share"
             )
-        same = digests[first].items() & digests[name].items()
-        chosen = {i: event for i, event in chosen.items() if (i, digests[first][i]) in same}
+        chosen = {i: event for i, event in chosen.items() if i not in apart}
         changed = [
             i
             for i, e in chosen.items()
@@ -497,19 +500,6 @@ def shared_events(
     if len(chosen) < largest:
         notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
     return list(chosen.values()), notes
-
-
-def _differences(first: str, mine: Mapping[str, str], name: str, theirs: Mapping[str, str]) -> str:
-    groups = {
-        f"only in {first}": [i for i in mine if i not in theirs],
-        f"only in {name}": [i for i in theirs if i not in mine],
-        "not the same in scene or observation": [
-            i for i in mine if theirs.get(i, mine[i]) != mine[i]
-        ],
-    }
-    return ", ".join(
-        f"{len(ids)} {what} (such as {ids[0]!r})" for what, ids in groups.items() if ids
-    )
 
 
 def entries(
@@ -539,8 +529,6 @@ def chosen_references(stored: str | Sequence[str], references: Iterable[str]) ->
     known = list(references)
     if isinstance(stored, str):
         stored = known if stored == ALL else [stored]
-    if not isinstance(stored, Iterable):
-        raise InvalidSettingError(f"stored={shown(stored)}, expected names of models, or {ALL!r}")
     for name in stored:
         check_name("stored model", name, known)
     return list(dict.fromkeys(stored))

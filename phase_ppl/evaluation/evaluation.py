@@ -389,14 +389,11 @@ class ResultsFolder:
             )
         if len(old) > len(new):
             raise InvalidSettingError(f"{holds} of {len(old)} events, but {len(new)} are given")
-        for place, (was, given) in enumerate(zip(old, new, strict=False), start=1):
+        for place, (was, given) in enumerate(zip(old.items(), new.items(), strict=False), start=1):
             if was != given:
+                how = "" if was[0] != given[0] else ", whose scene or observation differ"
                 raise InvalidSettingError(
-                    f"{holds} of other events: number {place} is {given!r}, was {was!r}"
-                )
-            if old[was] != new[given]:
-                raise InvalidSettingError(
-                    f"{holds} of another event {was!r}: its scene or observation differ"
+                    f"{holds} of other events: number {place} is {given[0]!r}, was {was[0]!r}{how}"
                 )
 
     def update(self, settings: Mapping[str, Any], events: Sequence[Event]) -> None:

@@ -72,11 +72,6 @@ class Study:
     world: World = PHASE
     summary: str = ""
 
-    @property
-    def participants(self) -> tuple[str, ...]:
-        """The participants, in order of appearance."""
-        return tuple(self.table["participant"].unique().tolist())
-
     @functools.cached_property
     def judgments(self) -> Mapping[str, Judgments]:
         """Video -> judgments of the participants who answered a question about it."""

@@ -234,8 +234,9 @@ def responses_of(events: Iterable[Event], at: float | None = None) -> pd.DataFra
     They are about the whole film, or about it up to a moment. None if it is unknown for some judged
     event, or no event was judged.
     """
-    found = [(event.id, Judgments.of(event)) for event in events]
-    judged = [(event, one) for event, whole in found if (one := _until(whole, at)) is not None]
+    found = [(event.id, one) for event in events if (one := Judgments.of(event)) is not None]
+    until = [(event, one if at is None else one.moments.get(at)) for event, one in found]
+    judged = [(event, one) for event, one in until if one is not None and one.counts]
     if not judged or not all(one.responses for _, one in judged):
         return None
     rows = [
@@ -246,12 +247,6 @@ def responses_of(events: Iterable[Event], at: float | None = None) -> pd.DataFra
         for label, value in ({answer: 1.0} if isinstance(answer, str) else answer).items()
     ]
     return pd.DataFrame(rows, columns=["event", "who", "question", "label", "value"])
-
-
-def _until(judged: Judgments | None, at: float | None) -> Judgments | None:
-    """Return judgments of the whole film, or up to a moment; None where there are none."""
-    found = judged if judged is None or at is None else judged.moments.get(at)
-    return found if found is not None and found.counts else None
 
 
 def _marked(labels: Sequence[str], label: str | None) -> list[bool] | None:

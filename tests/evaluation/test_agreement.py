@@ -28,7 +28,6 @@ from tests.evaluation.judged import (
     OPPOSING,
     PINK_TO_BLUE,
     by_id,
-    differences,
     make_event,
     shares,
 )
@@ -145,17 +144,6 @@ def test_people_themselves_agree_and_r_of_what_is_constant_is_none() -> None:
     assert flat["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
-def test_differences_of_agreement_are_paired() -> None:
-    found = differences(events(), model(PEOPLE.tolist()), model())
-    of_one, of_other = human(model(PEOPLE.tolist())), human()
-    for name in ("relation_r", "relation_r_given_truth", "log_score", "js"):
-        expected = of_one[name]["value"] - of_other[name]["value"]
-        assert found[f"human.{name}"]["value"] == pytest.approx(expected, abs=1e-12)
-        assert found[f"human.{name}"]["ci_low"] <= found[f"human.{name}"]["ci_high"]
-    assert found["human.js"]["ci_high"] < 0
-    assert "human.goal_r" not in found
-
-
 # --- people with each other --------------------------------------------------------------------
 
 
@@ -200,18 +188,3 @@ def test_unanimous_people_agree_and_single_raters_have_no_halves() -> None:
     assert split([[6, 0, 0], [0, 6, 0]]) == pytest.approx(1)
     assert np.isnan(split([[1, 0, 0], [0, 0, 0]]))
     assert np.isnan(split([]))
-
-
-def test_metrics_say_how_the_raters_were_split() -> None:
-    found = human()
-    assert found["split_half_by"] == "votes"
-    assert found["split_half_r"]["ci_low"] < found["split_half_r"]["value"]
-    said = {"a": "friendly", "b": "friendly", "c": "neutral"}
-    named = {"responses": [{"participant": who, "relation": said[who]} for who in said]}
-    one, other = (make_event(name, judgments=named) for name in "01")
-    for watched, by in (
-        ([one, other], "participants"),
-        ([one, make_event("1", COLLABORATIVE, VOTES[1])], "votes"),
-        ([make_event("0")], None),
-    ):
-        assert evaluate_predictions(watched, model())["human"]["split_half_by"] == by

@@ -18,7 +18,6 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
-    UnknownNameError,
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
@@ -267,22 +266,6 @@ def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Pa
     assert found.metrics["people"]["goal_accuracy"]["value"] == 0.5
     assert found.metrics["human"]["goal_log_score_people"]["value"] == pytest.approx(-np.log(2))
     assert found.metrics["human"]["relation_r"] is None
-
-
-def test_events_that_tell_models_apart_are_found_in_any_world(events: list[ppl.Event]) -> None:
-    question = "relation_red_purple"
-    sides = {"friend": [0.9, 0.1, 0.0], "foe": [0.1, 0.1, 0.8]}
-    models = {
-        label: {
-            event.id: Prediction(event.id, {question: sides[label if i else "foe"]}, world=TRIO)
-            for i, event in enumerate(events)
-        }
-        for label in sides
-    }
-    found = ppl.design(events, models, question, lapse=0.0)
-    assert found.information.values.argmax() == 1
-    with pytest.raises(UnknownNameError, match="relation_red_purple"):
-        ppl.design(events, models, "relation_red_purpel")
 
 
 @pytest.mark.usefixtures("unpainted")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -45,21 +44,6 @@ def test_r_is_that_of_the_metrics_and_given_truth_only_what_is_left() -> None:
         assert found[name]["value"] == pytest.approx(known["human"][name]["value"])
         assert found[name]["ci_low"] < found[name]["value"] < found[name]["ci_high"] <= 1
     assert doubt(np.eye(3)[[0, 0, 0, 1, 1, 1]])["relation_r_given_truth"] is None
-
-
-def test_intervals_given_the_truth_are_those_of_events_that_have_one() -> None:
-    rng = np.random.default_rng(0)
-    p = rng.dirichlet(np.ones(3), 60)
-    votes = [rng.multinomial(12, 0.5 * one + 0.5 * rng.dirichlet(np.ones(3))) for one in p]
-    judged = [make_event(f"e{i}", COLLABORATIVE, v.tolist()) for i, v in enumerate(votes)]
-    judged[12:] = [dataclasses.replace(event, truth=None) for event in judged[12:]]
-    expected = evaluate_predictions(judged, predictions(p))["human"]["relation_r_given_truth"]
-    assert doubt(p, judged)["relation_r_given_truth"] == pytest.approx(expected)
-    of_truth = evaluate_predictions(judged[:12], predictions(p[:12]))["human"]
-    widths = [
-        one["ci_high"] - one["ci_low"] for one in (expected, of_truth["relation_r_given_truth"])
-    ]
-    assert widths[0] == pytest.approx(widths[1], rel=0.3)
 
 
 def test_intervals_of_r_are_as_wide_as_it_varies_between_sets_of_videos() -> None:

@@ -13,7 +13,6 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.evaluation import evaluate as module
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.registry import Predict
 from phase_ppl.world.errors import (
@@ -83,27 +82,13 @@ def test_a_model_may_be_seen_through_whatever_says_how() -> None:
     assert found.posterior("still") is None
 
 
-def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
-    cost = {"simulations": np.int64(7), "loss": np.nan, "device": Path("x"), "seconds": -1}
-    given = ppl.Prediction("", answers={"relation": "friendly"}, cost=cost)
-    found = evaluate(model=saying(given), out=tmp_path)
-    kept = json.loads((tmp_path / "metrics.json").read_text())["cost"]
-    assert kept["simulations"] == 28
-    assert kept["events"]["a"]["loss"] is None
-    assert kept["seconds"] == sum(entry["seconds"] for entry in kept["events"].values()) > 0
-    assert "28 simulations" in str(found)
-
-
 @pytest.mark.parametrize(
     ("does", "message"),
     [
         (raises, "ValueError: not today (toys.py, line"),
         (lambda: {"relation": [0.5, np.nan, 0.5]}, "relation has the probability nan"),
-        (lambda: {"relation": [-0.5, 1.5, 0]}, "relation has the probability -0.5"),
         (lambda: {"goal_red": [1.0]}, "shape (1,), expected (36,)"),
-        (lambda: {"goal_red": "Get blue item to red landmark"}, "'Get blue item to red lm'"),
         (lambda: {"goal_blue": RED_TO_RED}, "unknown question 'goal_blue'"),
-        (lambda: {"relation": None}, "the answer is empty"),
         (lambda: None, "the answer is None, expected a Prediction, a posterior or a mapping"),
         (lambda: exit(3), "SystemExit: 3"),
     ],
@@ -276,20 +261,6 @@ def test_longest_events_come_first_and_a_model_cannot_change_what_others_see() -
     assert order == [6, 5, 4, 3]
 
 
-def test_workers_let_go_of_compiled_programs_and_the_callers_process_keeps_its_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    import jax
-
-    cleared: list[int] = []
-    monkeypatch.setattr(jax, "clear_caches", lambda: cleared.append(1))
-    evaluate(several(module.COMPILED_OF))
-    assert not cleared
-    monkeypatch.setattr(module, "in_worker", lambda: True)
-    evaluate(several(2 * module.COMPILED_OF))
-    assert len(cleared) == 2
-
-
 # --- events ------------------------------------------------------------------------------------
 
 
@@ -314,13 +285,11 @@ def test_events_come_from_a_file_a_folder_or_a_bundled_name(tmp_path: Path) -> N
     ("given", "error", "message"),
     [
         ({"events": []}, InvalidEventError, "no events"),
-        ({"events": [EVENTS[0]] * 2}, InvalidEventError, "two events with the id 'a'"),
         ({"events": [3]}, InvalidEventError, "3 is no event"),
         ({"events": "nowhere.json"}, InvalidEventError, "nowhere.json: no such file"),
         ({"events": [still(predictions={"x": 1})]}, InvalidEventError, "still: predictions: x"),
         ({"events": [still(judgments={"relation_counts": {"hostile": 1}})]}, UnknownNameError,
          "hostile"),
-        ({"limit": 0}, InvalidSettingError, "limit=0"),
         ({"workers": 0}, InvalidSettingError, "workers=0"),
     ],
 )  # fmt: skip
@@ -355,7 +324,12 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
     right = values(kept, "goal_accuracy", *(f"{who}relation_accuracy" for who in of_all))
     assert right == [1, 1, 0, 0.75]
     assert set(kept["cost"]) == {"seconds", "simulations", "events"}
-    assert set(kept["cost"]["events"]) == set("abcd")
+    cost = {"simulations": np.int64(7), "loss": np.nan, "device": Path("x"), "seconds": -1}
+    given = ppl.Prediction("", answers={"relation": "friendly"}, cost=cost)
+    told = evaluate(model=saying(given)).metrics["cost"]
+    assert told["simulations"] == 28
+    assert told["events"]["a"]["loss"] is None
+    assert told["seconds"] == sum(entry["seconds"] for entry in told["events"].values()) > 0
     assert (kept["settings"]["model"], kept["settings"]["seed"]) == ("right", 0)
     assert "workers" not in json.dumps(kept["settings"])
 
@@ -369,16 +343,6 @@ def test_files_that_belong_to_an_answer_are_kept_beside_it(tmp_path: Path) -> No
     assert found.folder is not None
     assert (found.folder.folder_of("b") / "note.txt").read_text() == "a note"
     assert not evaluate(model=answering(raises)).failures, "nothing is written without a folder"
-
-
-def test_judgments_from_a_file_take_the_place_of_those_in_the_events(tmp_path: Path) -> None:
-    file = tmp_path / "people.csv"
-    file.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\np1,d,friendly\n")
-    found = evaluate(judgments=file, limit=2)
-    assert found.metrics["n"]["relation_judgments"] == 1
-    assert found.metrics["people"]["relation_accuracy"]["value"] == 0.5
-    with pytest.raises(UnknownNameError, match="'a'"):
-        evaluate(EVENTS[1:], judgments=file)
 
 
 # --- what is shown -----------------------------------------------------------------------------
@@ -475,7 +439,10 @@ def test_other_settings_and_events_are_refused_and_named(tmp_path: Path) -> None
         ({"model": wrong}, "model is 'wrong', was 'right'"),
         ({"seed": 1}, "seed is 1, was 0"),
         ({"events": several(5)[1:]}, "number 1 is 'b', was 'a'"),
-        ({"events": [still("a", shift=0.3), *EVENTS[1:]]}, "another event 'a': its scene or"),
+        (
+            {"events": [still("a", shift=0.3), *EVENTS[1:]]},
+            "number 1 is 'a', was 'a', whose scene or",
+        ),
     ]
     for change, message in changes:
         with pytest.raises(InvalidSettingError, match=message):
@@ -541,13 +508,11 @@ def test_a_damaged_prediction_is_made_again_with_a_note(tmp_path: Path) -> None:
 def test_a_damaged_folder_is_refused_with_the_file(tmp_path: Path) -> None:
     evaluate(out=tmp_path)
     settings = json.loads((tmp_path / "settings.json").read_text())
-    nameless, seedless = ({k: v for k, v in settings.items() if k != n} for n in ("model", "seed"))
+    nameless = {name: value for name, value in settings.items() if name != "model"}
     for file, content, message in (
         ("settings.json", "{", "settings.json: is not JSON"),
         ("settings.json", "{}", "its schema is None"),
         ("settings.json", json.dumps(nameless), r"settings\.json has no model"),
-        ("settings.json", json.dumps(seedless), r"settings\.json has no seed"),
-        ("events.json", "", "events.json: is empty"),
         ("events.json", None, "events.json: no such file"),
     ):
         whole = (tmp_path / file).read_text()

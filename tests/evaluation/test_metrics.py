@@ -89,17 +89,7 @@ def test_accuracies_are_shares_by_true_scenario() -> None:
     assert alone == {"value": 1, "ci_low": None, "ci_high": None}
 
 
-def test_all_right_is_not_certain() -> None:
-    made = by_id(*(answers(str(i), *COLLABORATIVE, relation="friendly") for i in range(5)))
-    metrics = evaluate_predictions(alike(5), made)
-    for place in (metrics, metrics["by_scenario"]["collaborative"]):
-        for kind in ("goal", "relation"):
-            found = place[f"{kind}_accuracy"]
-            assert found["value"] == found["ci_high"] == 1
-            assert found["ci_low"] == pytest.approx(0.025 ** (1 / 5))
-
-
-@pytest.mark.parametrize("n", [5, 12, 50])
+@pytest.mark.parametrize("n", [5, 50])
 def test_intervals_of_accuracies_cover(n: int) -> None:
     """Of relations (None), of goals of which the second is the first's this often, of shares."""
     rng = np.random.default_rng(0)
@@ -115,19 +105,6 @@ def test_intervals_of_accuracies_cover(n: int) -> None:
             scores[..., 1] = np.where(rng.random((600, n)) < alike, scores[..., 0], scores[..., 1])
         assert share_covered(scores, p) >= 0.92, (p, alike)
     assert share_covered(rng.beta(5.4, 0.6, size=(600, n, 1)), 0.9) >= 0.92
-
-
-def test_shares_that_are_all_the_same_have_an_interval() -> None:
-    found = proportion([[0.5], [0.5]])
-    assert found is not None
-    assert found["ci_low"] < 0.4 < found["value"] == 0.5 < 0.6 < found["ci_high"]  # type: ignore[operator]
-    assert proportion([[np.nan, np.nan]]) is None
-    # those that differ are worth the answers whose normal interval is as wide as Student's
-    found = proportion(np.repeat([[0.4], [0.6]], 5, axis=0))
-    assert found is not None
-    worth = 0.25 * 10 * (stats.norm.ppf(0.975) / (stats.t.ppf(0.975, 9) * 0.1)) ** 2
-    expected = clopper_pearson(worth / 2, worth)
-    assert (found["ci_low"], found["ci_high"]) == pytest.approx(expected)
 
 
 def test_goals_that_go_together_say_no_more_than_one() -> None:
@@ -249,22 +226,6 @@ def test_what_cannot_be_is_refused(given: Any, error: type[Exception], message: 
 # --- differences -------------------------------------------------------------------------------
 
 
-def test_difference_is_that_of_the_two_figures() -> None:
-    better = {**ANSWERS, "c": answers("c", *COMPETING, relation="adversarial")}
-    found = differences(EVENTS, better, ANSWERS)
-    for place, value, n in (
-        ("goal_accuracy", 1 / 8, 4),
-        ("relation_accuracy", 1 / 4, 4),
-        ("competing.goal_accuracy", 1 / 2, 1),
-        ("collaborative.goal_accuracy", 0, 2),
-    ):
-        assert (found[place]["value"], found[place]["n_events"]) == pytest.approx((value, n))
-    back = differences(EVENTS, ANSWERS, better)["goal_accuracy"]
-    assert back["value"] == -found["goal_accuracy"]["value"]
-    assert back["ci_low"] == pytest.approx(-found["goal_accuracy"]["ci_high"])
-    assert back["p"] == found["goal_accuracy"]["p"]
-
-
 def test_difference_is_paired() -> None:
     """Each model's accuracy varies with the events drawn; their difference here does not."""
     one, other = (
@@ -335,7 +296,7 @@ def test_intervals_of_differences_of_shares_hold_them() -> None:
         assert stats.binom.pmf(k, N, share)[held].sum() > 0.945, share
 
 
-@pytest.mark.parametrize(("n", "apart"), [(10, 0.1), (10, 0.6), (20, 0.3), (50, 0.1)])
+@pytest.mark.parametrize(("n", "apart"), [(10, 0.6), (50, 0.1)])
 def test_models_that_are_equally_good_differ_in_one_of_twenty_cases(n: int, apart: float) -> None:
     """They are apart on that share of events; p is below 0.05 where the interval leaves out 0."""
     weights, events = resampled(n, resamples=1000), np.arange(n)
@@ -355,8 +316,8 @@ def test_models_that_are_equally_good_differ_in_one_of_twenty_cases(n: int, apar
     assert rejected <= 0.05
 
 
-@pytest.mark.parametrize("n", [10, 20])
-def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say(n: int) -> None:
+def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say() -> None:
+    n = 10
     # means of resamples spread by sqrt((n - 1) / n) of what Student's interval goes by
     t, spread = stats.t.ppf(0.975, n - 1), np.sqrt((n - 1) / n)
     drawn = np.append(0.0, spread * stats.norm.ppf((np.arange(1e5) + 0.5) / 1e5))

@@ -13,7 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.evaluation import SETTINGS
-from phase_ppl.evaluation.report import rows_of
+from phase_ppl.evaluation.report import answers_table
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
 from phase_ppl.world.goals import GOALS
@@ -147,4 +147,5 @@ def test_the_command_writes_the_report_and_bad_folders_and_places_are_named(
 def test_goals_that_were_answered_or_are_true_always_have_a_row() -> None:
     event = events()[0]
     wide = ppl.Prediction("one", {"goal_red": [0.0] * 6 + [1 / 30] * 30}, {"goal_red": GOALS[0]})
-    assert set(rows_of("goal_red", [wide], event)) == {GOALS[0], RED}
+    table = answers_table("goal_red", {"wide": wide}, event)
+    assert set(table.index) == {GOALS[0], f"{RED} (true)"}

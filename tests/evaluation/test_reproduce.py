@@ -129,7 +129,7 @@ def test_real_videos_give_cells_figures_and_one_page(
     people = found["people", "relations right"]
     assert people.ours["value"] == pytest.approx(0.85)
     assert people.verdict == "inside"
-    assert found["people", "goals right"].missing == "people's judgments of goals (--judgments)"
+    assert found["people", "goals right"].missing == "people's judgments (--judgments)"
     of_scenario = found["simple", "goals right, competing"]
     assert of_scenario.verdict in ("inside", "outside")
     assert of_scenario.videos == 3

@@ -44,7 +44,7 @@ from phase_ppl.evaluation.figures.frame import (
 )
 from phase_ppl.evaluation.metrics import at as metric_at
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
-from phase_ppl.evaluation.ratings import REHEARSAL, Judgments
+from phase_ppl.evaluation.ratings import REHEARSAL, Judgments, moments_of
 from phase_ppl.evaluation.table import Answers, responses_of, titles_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
@@ -53,7 +53,6 @@ from phase_ppl.world.hypothesis import SCENARIOS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
 
 # --- probabilities against shares
 
@@ -183,17 +182,6 @@ _EVENTS: Final = 4  # events that are drawn over time
 _COLUMNS: Final = 5  # answers that are
 _DRAWN: Final = 1000  # resamples of the people
 _TICKS: Final = 5  # moments that the axis names
-_NOTHING: Final = "nobody judged at a moment of a film"
-
-
-def _models(source: Results) -> tuple[list[Event], list[Source]]:
-    """Return the events that people judged at moments, and models' answers at these."""
-    results = opened(source)
-    models = [one for one in results.sources if one.kind != "people" and one.metrics.get("moments")]
-    judged = Answers.of(results.events, {}).rows.dropna(subset="at")["event"].unique()
-    if not len(judged) or not models:
-        raise NothingToDrawError(_NOTHING)
-    return [event for event in results.events if event.id in set(judged)], models
 
 
 @drawing("People and models over time")
@@ -206,12 +194,21 @@ def over_time(source: Results, path: PathLike | None = None) -> Figure:
     Raises:
         NothingToDrawError: nobody judged at a moment of a film.
     """
-    events, models = _models(source)
+    from matplotlib.lines import Line2D
+
+    results = opened(source)
+    models = [o for o in results.sources if o.kind != "people" and o.metrics.get("moments")]
+    events = [event for event in results.events if moments_of(event)]
+    if not events or not models:
+        raise NothingToDrawError("nobody judged at a moment of a film")
     shown = events[:_EVENTS]
     some = f"{len(shown)} of {len(events)} events. " if len(shown) < len(events) else ""
-    tables = {one: Answers.of(shown, one.predictions).rows.dropna(subset="at") for one in models}
-    people = next(iter(tables.values()))
-    chosen = {event.id: _asked(people[people["event"] == event.id], event) for event in shown}
+    rows = pd.concat(
+        Answers.of(shown, one.predictions).rows.dropna(subset="at").assign(source=place)
+        for place, one in enumerate(models)
+    )
+    said = rows[rows["source"] == 0]
+    chosen = {event: _asked(said[said["event"] == event.id], event) for event in shown}
     n_columns = max(map(len, chosen.values()))
     figure = new_figure(
         0.7 + 1.75 * n_columns, 0.6 + 1.5 * len(shown),
@@ -219,28 +216,32 @@ def over_time(source: Results, path: PathLike | None = None) -> Figure:
         "people, with the 95 % interval of their mean; coloured: models.",
     )  # fmt: skip
     grid = figure.subplots(len(shown), n_columns, squeeze=False, sharey=True)
-    drawn = set()
-    for event, line in zip(shown, grid, strict=True):
-        for axes in line[len(chosen[event.id]) :]:
+    lines: dict[str, Any] = {"marker": "o", "ms": 3, "lw": 1.4}
+    named = {}
+    for (event, asked), line in zip(chosen.items(), grid, strict=True):
+        ticks = moments_of(event)
+        for axes in line[len(asked) :]:
             axes.set_visible(False)
-        for axes, (question, label) in zip(line, chosen[event.id], strict=False):
-            for one, table in tables.items():
-                keys = ("event", event.id), ("question", question), ("label", label)
-                rows = table[np.all([table[name] == value for name, value in keys], axis=0)]
-                if one is models[0]:
-                    at, share, within = _of_people(event, rows, question, label)
-                    _line(axes, at, share, within, PEOPLE_COLOUR)
-                rows = rows.dropna(subset="probability")
-                if len(rows):
-                    _line(axes, rows["at"], rows["probability"], None, one.colour)
-                    drawn.add(one)
+        for axes, (question, label) in zip(line, asked, strict=False):
+            keys = ("event", event.id), ("question", question), ("label", label)
+            of = rows[np.all([rows[name] == value for name, value in keys], axis=0)]
+            people = of[of["source"] == 0].dropna(subset="people")
+            axes.plot(people["at"], people["people"], color=PEOPLE_COLOUR, **lines)
+            within = _of_people(event, people["at"], question, label)
+            axes.vlines(people["at"], *within, lw=1.4, color=PEOPLE_COLOUR, alpha=0.5)
+            for place, answered in of.dropna(subset="probability").groupby("source"):
+                one = models[place]
+                axes.plot(answered["at"], answered["probability"], color=one.colour, **lines)
+                named[one.label] = Line2D([], [], color=one.colour, lw=1.8)
             axes.set(ylim=(-0.02, 1.02), yticks=[0, 1])
-            _timed(axes, people.loc[people["event"] == event.id, "at"])
-            words = titles_of(event.scene.world)[question]
-            titled(axes, "", words, fontsize=NORMAL)
+            axes.set_xlim(0, (1.08 if len(ticks) > 1 else 1.5) * max(ticks[-1], 0.1))
+            if len(ticks) <= _TICKS:
+                axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
+            titled(axes, "", titles_of(event.scene.world)[question], fontsize=NORMAL)
             axes.set_title(label, pad=15, fontsize=fitting([label], 1.6), fontweight="bold")
         line[0].set_ylabel(event.id, fontsize=fitting([event.id], 1.2))
-    _named(figure, [one for one in models if one in drawn])
+    where: Any = {"loc": "outside upper right", "ncols": len(named), "frameon": False}
+    figure.legend([*named.values()], [*named], **where)
     return figure
 
 
@@ -255,14 +256,10 @@ def _asked(rows: pd.DataFrame, event: Event) -> list[tuple[str, str]]:
     return sorted(found, key=lambda one: one[0] not in pairs)[:_COLUMNS]
 
 
-def _of_people(
-    event: Event, rows: pd.DataFrame, question: str, label: str
-) -> tuple[list[float], FloatArray, FloatArray]:
-    """Return moments, people's mean share of an answer, and its interval (low and high, moment)."""
-    known = rows.dropna(subset="people")
-    within = []
-    labels = questions_of(event.scene.world)[question]
-    for at in known["at"]:
+def _of_people(event: Event, moments: Iterable[float], question: str, label: str) -> FloatArray:
+    """Return the interval of people's mean share of an answer, (low and high, moment)."""
+    within, labels = [], questions_of(event.scene.world)[question]
+    for at in moments:
         given = responses_of([event], at)
         ((_, answers),) = rows_of(given, [event.id], [question], labels).given.values()
         shares = answers[:, labels.index(label)]
@@ -270,40 +267,7 @@ def _of_people(
             len(shares), np.full(len(shares), 1 / len(shares)), size=_DRAWN
         )
         within.append(np.quantile(times @ shares / len(shares), [0.025, 0.975]))
-    return known["at"].tolist(), known["people"].to_numpy(), np.array(within).T
-
-
-def _line(
-    axes: Axes,
-    at: ArrayLike,
-    value: ArrayLike,
-    within: FloatArray | None,
-    colour: str,
-    **style: Any,
-) -> None:
-    """Draw a line with a mark for each moment, and its intervals (low and high, moment)."""
-    axes.plot(at, value, color=colour, marker="o", ms=3, **{"lw": 1.4, **style})
-    if within is not None:
-        axes.vlines(at, *within, lw=1.4, color=colour, alpha=0.5)
-
-
-def _timed(axes: Axes, moments: Iterable[float]) -> None:
-    """Let the horizontal axis begin with the film, with ticks at the moments where they are few."""
-    ticks = np.unique(list(moments))
-    axes.set_xlim(0, (1.08 if len(ticks) > 1 else 1.5) * max(ticks[-1], 0.1))
-    if len(ticks) <= _TICKS:
-        axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
-
-
-def _named(figure: Figure, models: list[Source]) -> None:
-    """Write whose lines are which above the axes."""
-    from matplotlib.lines import Line2D
-
-    figure.legend(
-        [Line2D([], [], color=one.colour, lw=1.8) for one in models],
-        [one.label for one in models],
-        loc="outside upper right", ncols=len(models), frameon=False,
-    )  # fmt: skip
+    return np.array(within).T
 
 
 # --- labels and ratings of videos (:mod:`phase_ppl.evaluation.experiments`)
