@@ -1,15 +1,10 @@
-"""Events in the files of PHASE's authors: pickles of the generator, and the processed form.
+"""Events in the files of PHASE's authors: pickles of videos, in their processed form.
 
-Two kinds of file are read:
-
-* The processed form is a list of videos, such as ``Videos_Test_humanratings`` of the public
-  repository Isik-lab/SocialGNN. A video has ``name`` (of its film), ``trajectories`` (per body
-  rows of x, y, vx, vy, angle; one per frame), ``entity_sizes``, ``entity_color_code``,
-  ``wall_segs``, ``landmark_centers`` and ``social_goals`` (the relation that most raters saw).
-* A generator's file is one record and has the film's name. It has ``sizes`` in place of
-  ``entity_sizes``, and one row per substep.
-
-Reading changes them as follows:
+A file is a list of videos, such as ``Videos_Test_humanratings`` of the public repository
+Isik-lab/SocialGNN. A video has ``name`` (of its film), ``trajectories`` (per body rows of x, y, vx,
+vy, angle; one per frame), ``entity_sizes``, ``entity_color_code``, ``wall_segs``,
+``landmark_centers`` and ``social_goals`` (the relation that most raters saw). Reading changes them
+as follows:
 
 * Bodies are put into the order of their colours (:func:`bodies_by_colour`).
 * Goals and strengths come from the film's name, which has them in that order. The field
@@ -21,8 +16,6 @@ Reading changes them as follows:
   Entities have the numbers of their colours: agents 0 red, 1 green; items 0 blue, 1 pink; in "TE"
   both are agents; landmarks 0 blue, 1 green, 2 red, 3 yellow.
 * Items' tracks are cut to the length of the agents', after which nothing moves.
-* A record's substeps are averaged in fives, as in the processed form. It starts with the initial
-  state or, in reflected copies, with the first substep.
 * Angles of agents in copies about a diagonal are unwrapped, and repaired where averaging spoiled
   them (:func:`repaired`). Angles of items are 0 in all copies.
 * Velocities are left out. In copies, those of agents were reflected like points, and those of items
@@ -43,7 +36,6 @@ import struct
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -166,9 +158,8 @@ class _Video(msgspec.Struct):
     wall_segs: Any
     landmark_centers: Any
     entity_color_code: dict[Any, int]
+    entity_sizes: Any
     name: str = ""
-    entity_sizes: Any = None
-    sizes: Any = None
     social_goals: Literal["friendly", "neutral", "adversarial"] | None = None
 
 
@@ -182,10 +173,6 @@ def read(path: str | os.PathLike[str]) -> Entries:
     Two videos with the same stamp and place have their whole names as ids.
     """
     content = read_pickle(path)
-    if isinstance(content, dict):
-        converted(content, _Video)
-        said = parse_name(Path(path).name)
-        return [(event_id(said.id), functools.partial(_event, content, said, raw=True))]
     names = [event_id(one.name) for one in converted(content, list[_Named], "videos")]
     ids = []
     for name in names:
@@ -196,21 +183,15 @@ def read(path: str | os.PathLike[str]) -> Entries:
     given = Counter(ids)
     unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
     return [
-        (id, functools.partial(_processed, video, id))
+        (id, functools.partial(_event, video, id))
         for video, id in zip(content, unique, strict=True)
     ]
 
 
-def _processed(video: Mapping[str, Any], id: str) -> Event:
-    said = parse_name(video["name"])
-    return _event(video, said._replace(id=id), raw=False)
-
-
-def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
-    video = converted(given, _Video)
+def _event(given: Mapping[str, Any], id: str) -> Event:
+    said, video = parse_name(given["name"]), converted(given, _Video)
     bodies = list(bodies_by_colour(video.entity_color_code))
-    sizes = video.sizes if raw else video.entity_sizes
-    radius = finite_array("sizes", sizes, (len(ENTITIES),))[bodies]
+    radius = finite_array("sizes", video.entity_sizes, (len(ENTITIES),))[bodies]
     if not isinstance(video.trajectories, list | tuple | np.ndarray):
         raise InvalidEventError("trajectories is no list of tracks")
     if len(video.trajectories) != len(ENTITIES):
@@ -221,9 +202,6 @@ def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
     tracks = [
         finite_array(f"trajectories[{body}]", video.trajectories[body], shape) for body in bodies
     ]
-    wrapped = said.place is not None and said.place.is_diagonal
-    if raw:
-        tracks = [_averaged(track, wrapped) for track in tracks]
     length = len(tracks[0])
     lengths = list(map(len, tracks))
     if length != lengths[1] or length > min(lengths):
@@ -237,7 +215,7 @@ def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
     scene = Scene(  # refuses impossible sizes, before they are used
         trajectory[0], radius, video.wall_segs, landmark_centres=video.landmark_centers
     )
-    if wrapped and not raw:
+    if said.place is not None and said.place.is_diagonal:
         for agent in range(len(AGENTS)):
             trajectory[:, agent, 2] = repaired(trajectory[:, agent, 2], float(radius[agent]))
     turning = observed_turning(trajectory, radius)
@@ -245,25 +223,10 @@ def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
     return Event(
         scene=dataclasses.replace(scene, start=trajectory[0], turning=turning),
         observation=Observation(trajectory),
-        id=said.id,
+        id=id,
         truth=said.truth,
         judgments=None if relation is None else {"majority": relation},
     )
-
-
-def _averaged(track: FloatArray, wrapped: bool) -> FloatArray:
-    """Return a track with a row per frame from one with a row per substep."""
-    first = len(track) % SUBSTEPS
-    if first > 1 or len(track) < SUBSTEPS:
-        raise InvalidEventError(
-            f"a track has {len(track)} rows, expected a multiple of {SUBSTEPS}, or one more"
-        )
-    rows = np.array(track)
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite means are refused later
-        if wrapped:
-            rows[:, -1] = np.unwrap(rows[:, -1])
-        means = rows[first:].reshape(-1, SUBSTEPS, rows.shape[1]).mean(axis=1)
-    return np.concatenate([rows[:1], means])
 
 
 # --- which body has which colour ------------------------------------------------------------------
@@ -272,8 +235,7 @@ COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
 """The code of bodies that are ordered by colour."""
 
 _KEYS: Final = ((0, 1, 3, 4), (0, None, 1, 2), (0, 1, 2, 3))
-"""Possible keys of ``entity_color_code`` for the bodies; the last are those of records without
-shuffling."""
+"""Possible keys of ``entity_color_code`` for the bodies; the last are those without shuffling."""
 
 
 def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:

@@ -22,7 +22,7 @@ from phase_ppl.data.authors import (
 from phase_ppl.data.load import load_event, load_events
 from phase_ppl.data.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
+from phase_ppl.world.errors import PhasePPLError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from tests.data.authors.pickles import (
@@ -35,7 +35,6 @@ from tests.data.authors.pickles import (
     expected,
     name_of,
     processed,
-    record,
     wrapped,
 )
 from tests.world.examples import DEV, needs_dev
@@ -64,21 +63,16 @@ def assert_shows(event: Event, copy: int | None) -> None:
 
 
 @pytest.mark.parametrize("copy", KINDS)
-def test_videos_and_records_become_what_they_show(tmp_path: Path, copy: int | None) -> None:
+def test_videos_become_what_they_show(tmp_path: Path, copy: int | None) -> None:
     for code in (SHUFFLED, SHORT, {0: 1, 1: 0, 2: 3, 3: 2}):
         (event,) = load_events(write(tmp_path, [processed(copy, code)]))
         assert_shows(event, copy)
         assert event.id == f"{STAMP}_E8" + ("" if copy is None else f".{copy}")
         assert event.observation.n_frames == FRAMES
         assert event.judgments == {"majority": "neutral"}
-    (event,) = load_events(write(tmp_path, record(copy), name_of(copy) + ".pik"))
-    assert_shows(event, copy)
-    assert event.judgments is None
 
 
 def test_ids_are_stamp_and_place_or_what_the_name_says(tmp_path: Path) -> None:
-    event = load_event(write(tmp_path, record(None), "mine.pik"))
-    assert (event.id, event.truth) == ("mine", None)
     path = write(tmp_path, [processed(copy) for copy in KINDS])
     assert [event.id for event in load_events(path)] == [
         f"{STAMP}_E8{suffix}" for suffix in ("", ".0", ".1", ".2", ".3")
@@ -177,10 +171,6 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path) -> None:
             assert said.startswith(str(path))
             assert "\n" not in said
             assert message in said
-    made = record(None)
-    made["trajectories"] = [rows[:-2] for rows in made["trajectories"]]
-    with pytest.raises(InvalidEventError, match="has 194 rows, expected a multiple of 5, or one"):
-        load_events(write(tmp_path, made))
 
 
 # --- names ----------------------------------------------------------------------------------------
