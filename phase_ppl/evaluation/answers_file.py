@@ -25,7 +25,6 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
-    PhasePPLError,
     UnknownNameError,
     check_name,
     instance_of,
@@ -58,8 +57,6 @@ _MILLISECONDS: Final = 300.0
 """Median from which times are taken as milliseconds: five minutes for one answer, or a moment."""
 
 _MOST: Final = 1e15  # of ratings, seconds and milliseconds
-_AS_GOOD: Final = 1e-4  # log scores of temperatures, nats an answer, that count as the same
-_MISSPELT: Final = 0.9  # the same of a video: ids of one study are alike
 _CLOSE: Final = 0.8  # similarity from which a name of a column is taken as misspelt
 _FIELDS: Final = ("participant", "video", *COLUMNS[2:])
 _ONCE: Final = ("participant", "video", "question", "answer", "at")
@@ -119,17 +116,11 @@ def read_answers(
     if isinstance(na, str) or not isinstance(na, Collection):
         raise InvalidSettingError(f"na={shown(na)}, expected a list of texts")
     reader = _Reader(world, videos, names or {}, {*na, *_NOT_AVAILABLE} - {""})
-    name = "the table" if isinstance(source, pd.DataFrame) else os.fspath(source)
-    try:
-        if isinstance(source, pd.DataFrame):
-            with in_front(name):
-                rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
-        else:
-            rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
-    except PhasePPLError:
-        if others := reader.of_other_videos():
-            raise UnknownNameError(f"{name}: {others}") from None
-        raise
+    if isinstance(source, pd.DataFrame):
+        with in_front("the table"):
+            rows = checked_rows(_cells(source), reader.row, reader.header, _ONCE, repeated)
+    else:
+        rows = read_rows(source, reader.row, reader.header, _ONCE, repeated)
     left_out = Counter(reader.left_out)
     left_out[f"repeated (the {repeated} counts)"] = reader.checked - len(rows)
     extra = ["confidence", "rating"]
@@ -189,7 +180,6 @@ class _Reader:
         self.world, self.videos, self.names, self.na = world, videos, names, na
         self.columns: dict[str, _Column] = {}
         self.left_out: Counter[str] = Counter()
-        self.unknown: Counter[str] = Counter()  # videos without an event: their answers
         self.checked = 0  # rows that were kept, repeated ones too
 
     @property
@@ -295,24 +285,6 @@ class _Reader:
     def _allowed(self) -> tuple[str, ...]:
         return (*_FIELDS, *questions_of(self.world), "confidence")
 
-    def of_other_videos(self) -> str:
-        """Return what is wrong if answers are about further videos, not misspelt ones; or ""."""
-        known = [video.lower() for video in self.videos or ()]
-        near = sum(
-            any(video.lower() in one for one in known)
-            or bool(difflib.get_close_matches(video.lower(), known, 1, _MISSPELT))
-            for video in self.unknown
-        )
-        if 2 * near >= len(self.unknown):
-            return ""
-        n, events = self.unknown.total(), len(known)
-        of = f"these {events} events" if events > 1 else "the one given"
-        return (
-            f"{n} answer{'s are' if n > 1 else ' is'} about videos that are not among {of}, such "
-            f"as {shown(next(iter(self.unknown)))}: give all events of the study; evaluate takes "
-            "fewer"
-        )
-
     # --- a row
 
     def row(self, cells: Mapping[str, str]) -> dict[str, Any]:
@@ -368,11 +340,11 @@ class _Reader:
             rows = []
             found["answer"] = object()  # is like no other
         elif self.videos is not None:
-            for video, n in Counter(row["event"] for row in rows).items():
-                if video not in self.videos:
-                    self.unknown[video] += n
+            for video in dict.fromkeys(row["event"] for row in rows):
                 with faults.noted():
-                    check_name("video", video, self.videos)
+                    if video not in self.videos:
+                        error = unknown_name("video", video, self.videos)
+                        raise UnknownNameError(f"{error}; give all events of the study")
         faults.check()
         self.checked += 1
         return {**found, "rows": rows}
@@ -472,7 +444,7 @@ def _graded(
         return changed, "ratings were divided by their sum, answer by answer"
     how = "given"
     if temperature is None:
-        temperature, how = _temperature(ratings)
+        temperature, how = _temperature(ratings), "fitted"
     positive_number("temperature", temperature)
     most = ratings.groupby(_PAIR, dropna=False, sort=False)["rating"].transform("max")
     masses = np.exp((ratings["rating"] - most) / temperature)
@@ -482,8 +454,8 @@ def _graded(
     return table.assign(value=found), said
 
 
-def _temperature(ratings: pd.DataFrame) -> tuple[float, str]:
-    """Return the temperature at which ratings best predict other people's leading answers, and how.
+def _temperature(ratings: pd.DataFrame) -> float:
+    """Return the temperature at which ratings best predict other people's leading answers.
 
     It has the highest log score of them: each person's shares, for every other person's leading
     answer (ties: shared) to the same question about the same event and moment. A label without a
@@ -512,14 +484,8 @@ def _temperature(ratings: pd.DataFrame) -> tuple[float, str]:
 
     scale = max(float(given.max()) for given, _ in groups) or 1.0
     low, high = np.log(scale) + np.log([1e-3, 1e2])
-    best = float(optimize.minimize_scalar(loss, bounds=(low, high), method="bounded").x)
-    how = "fitted: ratings predict the others' leading answers best so"
-    least = loss(best) + _AS_GOOD * sum(of.sum() for _, of in groups)
-    if loss(low) <= least:
-        how += ", and so do all lower ones: the highest rating has the whole share"
-    if loss(high) <= least:
-        how += ", and so do all higher ones: all shares are alike"
-    return float(np.exp(best)), how
+    best = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded").x
+    return float(np.exp(best))
 
 
 def marked(table: pd.DataFrame) -> bool:

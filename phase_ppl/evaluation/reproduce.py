@@ -155,13 +155,6 @@ class Cell(NamedTuple):
     missing: str = ""  # what data it would take
     videos: int | None = None  # of one type of scenario, on which ours rests
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return {
-            **self.printed._asdict(), "label": self.label, "ours": self.ours,
-            "verdict": self.verdict, "missing": self.missing, "videos": self.videos,
-        }  # fmt: skip
-
 
 class Reproduction(NamedTuple):
     """What came out.
@@ -363,7 +356,8 @@ def reproduce(
         notes += comparison.notes
         drawn = list(_drawings(labels, rated))
         result = Reproduction(cells, comparison, notes, drawn, folder)
-        record = {"profile": profile, "notes": notes, "cells": [one.to_dict() for one in cells]}
+        plain = [{**one._asdict(), "printed": one.printed._asdict()} for one in cells]
+        record = {"profile": profile, "notes": notes, "cells": plain}
         write_json(folder / RESULT, record)
         from phase_ppl.evaluation.report import write_page
 

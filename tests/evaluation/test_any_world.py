@@ -236,7 +236,7 @@ def test_a_study_of_another_world_is_read_by_its_questions(
         (STUDY.replace("goal_purple", "goal_blue"), "unknown column 'goal_blue'"),
         (STUDY.replace(f"{FIELD},friendly", "Get blue ball to blue lm,friendly"),
          "goal_purple: unknown goal"),
-        (STUDY.replace("trio-2", "trio-3"), "about videos that are not .* 'trio-3'"),
+        (STUDY.replace("trio-2", "trio-3"), "unknown video 'trio-3'.*give all events"),
         ("participant,video,relation\np1,trio-1,friendly\n",
          r"'relation'.*\(the events are of the world 'trio'\)"),
     ):  # fmt: skip

@@ -156,10 +156,10 @@ def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None
     with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'; did you mean 'aa'"):
         load_judgments(path, events)
     assert set(load_judgments(path).judgments) == {"a", "b"}
-    few = [make_event("film 1"), make_event("film 2")]
-    for source in (path, pd.read_csv(path)):
-        with pytest.raises(UnknownNameError, match=r"\d answers are .* not among these 2 events"):
-            load_judgments(source, few)
+    with pytest.raises(
+        UnknownNameError, match=r"^the table, line 2: .*give all events of the study"
+    ):
+        load_judgments(pd.read_csv(path), events)
 
 
 # --- files as other programs leave them, and graded answers ------------------------------------
@@ -225,8 +225,6 @@ def test_times_are_milliseconds_where_that_is_said_and_a_data_frame_is_a_table()
     for said, seconds in ((None, 250.0), (True, 0.25), (False, 250.0)):
         found = load_judgments(table, milliseconds=said).table
         assert found["response_time"].tolist() == [seconds]
-    with pytest.raises(UnknownNameError, match=r"about videos that are not .* 'a'"):
-        load_judgments(table, [make_event("b")])
 
 
 def test_sliders_are_distributions(tmp_path: Path) -> None:
@@ -296,7 +294,7 @@ def test_a_label_without_a_number_is_not_fitted_to() -> None:
     """Others' answers with it say nothing of the temperature, as it has no share at any."""
     rated: list[list[float | None]] = 2 * [[70, 50, 30], [45, 60, 30], [50, 40, 30], [60, 20, 30]]
     found, expected = (
-        re.search(r"temperature ([\d.]+) \(.* so\)", sliders(*given).summary)[1]  # type: ignore[index]
+        re.search(r"temperature ([\d.]+) \(fitted", sliders(*given).summary)[1]  # type: ignore[index]
         for given in ([*rated, [None, 50, 60]], [*rated, [0, 50, 60]])
     )
     # a rating of 0 has a share, and so is wrong about the others
