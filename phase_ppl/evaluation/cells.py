@@ -100,13 +100,11 @@ def wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, WIDTH, subsequent_indent="  ")
 
 
-def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
+def number(value: float | None) -> str:
     """Return a number as typeset text; a dash for None."""
     if value is None:
         return "\N{EN DASH}"
-    rounded = round(value, digits) + 0.0  # without the sign of a zero
-    sign = "+" if signed and rounded else ""
-    return f"{rounded:{sign}.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{round(value, 2) + 0.0:.2f}".replace("-", "\N{MINUS SIGN}")  # no sign of a zero
 
 
 # --- tables of metrics ----------------------------------------------------------------------------

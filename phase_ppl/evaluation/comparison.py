@@ -10,10 +10,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+import msgspec
 import numpy as np
 import pandas as pd
 
-from phase_ppl.data.documents import check_schema, of_kind, read_json
+from phase_ppl.data.documents import check_schema, converted, read_json
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.bootstrap import Resampled, resampled
 from phase_ppl.evaluation.cells import (
@@ -42,7 +43,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import Printed, plain
-from phase_ppl.world.scene import World
 
 Given: TypeAlias = Evaluation | str | os.PathLike[str]
 ALL: Final = "all"  # stands for all reference models of the events
@@ -275,21 +275,15 @@ class ModelComparison(Printed):
         events = load_events(path / EVENTS)
         try:
             check_schema(record, SCHEMA)
-            world = world_of(events)
-            read = [_entry(one, world) for one in of_kind("models", record["models"], list)]
-            ids = {event.id for event in events}
-            for one in read:
-                unknown = [name for name in one.predictions if name not in ids]
-                if unknown:
-                    raise InvalidEventError(
-                        f"{one.name} predicts {shown(unknown[0])}, which is no event of {EVENTS}"
-                    )
-            settings = of_kind("settings", record["settings"], dict)
-            notes = tuple(map(str, of_kind("notes", record["notes"], list)))
-            return cls(events, read, _checked(settings, read), notes)
-        except (PhasePPLError, KeyError) as error:
-            reason = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-            raise InvalidEventError(f"{path / COMPARISON}: {reason}") from None
+            kept, world, read = converted(record, _Kept), world_of(events), []
+            for one in kept.models:
+                made = [Prediction.from_dict(given, world) for given in one.predictions]
+                by_id = {given.event_id: given for given in made}
+                read.append(Source(**{**msgspec.structs.asdict(one), "predictions": by_id}))
+            settings = _checked({**USUAL, **kept.settings}, read)
+            return cls(events, read, settings, tuple(kept.notes))
+        except PhasePPLError as error:
+            raise InvalidEventError(f"{path / COMPARISON}: {error}") from None
 
     def __str__(self) -> str:
         models, events, judged = len(self.models), len(self.events), self.people["n_events"]
@@ -384,25 +378,28 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Source]) -> dict[st
     }
 
 
-_KEPT: Final = ("name", "kind", "predictions", "settings", "failures", "folder")
+class _Model(msgspec.Struct):
+    """What comparison.json has of a model."""
+
+    name: str
+    kind: str
+    predictions: list[dict[str, Any]]
+    settings: dict[str, Any]
+    failures: dict[str, str]
+    folder: str | None
+
+
+class _Kept(msgspec.Struct):
+    """What is read of comparison.json; all numbers in it follow."""
+
+    settings: dict[str, Any]
+    models: list[_Model]
+    notes: list[str]
 
 
 def _record(one: Source) -> dict[str, Any]:
-    fields = {name: getattr(one, name) for name in _KEPT}
+    fields = {name: getattr(one, name) for name in _Model.__struct_fields__}
     return {**fields, "predictions": [given.to_dict() for given in one.predictions.values()]}
-
-
-def _entry(record: object, world: World) -> Source:
-    given = of_kind("a model", record, dict)
-    fields = {name: given[name] for name in _KEPT}
-    for name in ("settings", "failures"):
-        of_kind(f"{name} of a model", fields[name], dict)
-    predictions = [
-        Prediction.from_dict(of_kind("a prediction", one, dict), world)
-        for one in of_kind("predictions of a model", fields["predictions"], list)
-    ]
-    by_id = {prediction.event_id: prediction for prediction in predictions}
-    return Source(**{**fields, "predictions": by_id})
 
 
 # --- who is compared ------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ import re
 import secrets
 import shutil
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -237,15 +237,14 @@ class Evaluation(Printed):
         )
 
 
-def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluation:
-    """Return an evaluation, or read it from a folder; errors list the names ``references``."""
+def evaluation_of(source: object) -> Evaluation:
+    """Return an evaluation, or read it from a folder."""
     if isinstance(source, Evaluation):
         return source
     if not isinstance(source, str | os.PathLike):
         raise InvalidSettingError(f"{shown(source)} is neither an evaluation nor the folder of one")
     if not Path(source).exists():
-        known = f", and no reference model ({', '.join(references)})" if references else ""
-        raise InvalidEventError(f"{source}: no such folder{known}")
+        raise InvalidEventError(f"{source}: no such folder")
     return Evaluation.load(source)
 
 
@@ -269,16 +268,15 @@ def all_events(
         InvalidSettingError: ``events`` are none of these.
     """
     if split is not None:
-        path = events if isinstance(events, str | os.PathLike) else None
-        generated = events if path is None else load_events(path)
-        if not isinstance(generated, GeneratedEvents):
+        given = load_events(events) if isinstance(events, str | os.PathLike) else events
+        if not isinstance(given, GeneratedEvents):
             raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
-        return list(generated.split(split))
-    if isinstance(events, Event):
-        sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
-    elif isinstance(events, str | os.PathLike):
+        return list(given.split(split))
+    sources: list[tuple[str, Sequence[Event]]]
+    if isinstance(events, str | os.PathLike):
         sources = [(f" in {file}", load_events(file)) for file in _files(events)]
     else:
+        events = [events] if isinstance(events, Event) else events
         instance_of("events", events, Iterable, "a file, a folder or events")
         sources = [("", list(events))]
     seen: dict[str, str] = {}

@@ -329,13 +329,11 @@ def test_a_comparison_fits_a_terminal_is_saved_and_read_again(
 def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     compare(evaluation(of=EVENTS[:2]), resamples=5).save(tmp_path)
     whole = json.loads((tmp_path / "comparison.json").read_text())
-    stray = WRITTEN | {"predictions": [answers("event 9").to_dict()]}
     for field, value, message in (
         ("schema", "other", "its schema is 'other'"),
-        ("models", [{"name": "x"}], "has no 'kind'"),
-        ("models", [WRITTEN | {"predictions": [3]}], "a prediction is 3"),
+        ("models", [{"name": "x"}], "missing required field 'kind'"),
+        ("models", [WRITTEN | {"predictions": [{"event": 3}]}], "event of a prediction is 3"),
         ("models", [WRITTEN, WRITTEN], "two models are called 'x'"),
-        ("models", [stray], "x predicts 'event 9', which is no event of events.json"),
         ("settings", whole["settings"] | {"margin": 2}, "margin=2"),
     ):
         write_json(tmp_path / "comparison.json", {**whole, field: value})
