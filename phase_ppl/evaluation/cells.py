@@ -29,7 +29,7 @@ INTERVALS: Final = (
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair
 _EVENTS: Final = "n_events"
 
-Row = tuple[str, Mapping[str, Any]]  # name, metrics
+_Rows = Mapping[str, Mapping[str, Any]]  # name -> metrics
 _Columns = Mapping[str, str | Place]  # heading -> place in the metrics, parts joined by dots
 
 
@@ -110,20 +110,16 @@ def number(value: float | None) -> str:
 # --- tables of metrics ----------------------------------------------------------------------------
 
 
-def metric_tables(
-    models: Sequence[Row], people: Mapping[str, Any] | None = None
-) -> Iterator[Table]:
-    """Yield all tables of models' metrics.
+def metric_tables(c: ModelComparison) -> Iterator[Table]:
+    """Yield all tables of models' metrics, the most important first; below models come people.
 
-    Below them come people, where there are any
-    (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
-    number are left out.
+    Rows, columns and tables without a number are left out.
     """
-    for title, columns, rows in _tables(models, people):
+    for title, columns, rows in _tables(c):
         numbers = [heading for heading, place in columns.items() if place != _EVENTS]
         cells = pd.DataFrame(
-            {heading: [_cell(m, place) for _, m in rows] for heading, place in columns.items()},
-            [name for name, _ in rows],
+            {name: [_cell(m, place) for m in rows.values()] for name, place in columns.items()},
+            list(rows),
         )
         known = cells != NOTHING
         kept = known[numbers].any(axis=1)
@@ -131,70 +127,52 @@ def metric_tables(
             yield Table(title, cells.loc[kept, known[kept].any()])
 
 
-def _tables(
-    models: Sequence[Row], people: Mapping[str, Any] | None
-) -> Iterator[tuple[str, _Columns, Sequence[Row]]]:
-    """Yield title, columns and rows of the tables, the most important first."""
-    right = [*models]
-    judged = people is not None and people["n_events"] > 0
-    if people is not None and judged:
-        right += [(PEOPLE, people), (MAJORITY, people["majority"])]
-    yield (
-        "right answers" + (" (people: share of people who are right)" if judged else ""),
-        {
-            "goals": "goal_accuracy",
-            "goal in top 3": "goal_top3_accuracy",
-            "relations": "relation_accuracy",
-            "events": _EVENTS,
-            "CPU s/event": "cpu_seconds",
-        },
-        right,
-    )
+def _tables(c: ModelComparison) -> Iterator[tuple[str, _Columns, _Rows]]:
+    """Yield titles, columns and rows of tables."""
+    models, title = c.metrics, "right answers"
+    right: _Rows = models
+    if c.people["n_events"]:
+        right = {**models, PEOPLE: c.people, MAJORITY: c.people["majority"]}
+        title += " (people: share of people who are right)"
+    numbers = {"goals": "goal_accuracy", "goal in top 3": "goal_top3_accuracy"}
+    numbers |= {"relations": "relation_accuracy", "events": _EVENTS, "CPU s/event": "cpu_seconds"}
+    yield title, numbers, right
     for kind, word in KIND_WORDS.items():
-        verdicts = ("decided", "undecided", "sure")
-        of_verdict: dict[str, Place] = {name: ("verdict", kind, name) for name in verdicts}
         yield (
             f"{word} right, where the event is decided or not, and of answers that are sure",
-            of_verdict,
+            {name: ("verdict", kind, name) for name in ("decided", "undecided", "sure")},
             models,
         )
-    among = (PEOPLE, _among_people(models))
+    agreeing = {**models, PEOPLE: _among_people(models)}
     for where, words in (
         ("human", " (people: r of halves; bound of the log score)"),
         ("moments", ", at moments of the film"),
     ):
         for kind, word in KIND_WORDS.items():
             prefix = PREFIX[kind]
-            yield (
-                f"agreement with people on {word}{words}",
-                {
-                    "r": f"{where}.{kind}_r",
-                    **({} if prefix else {"r given truth": f"{where}.relation_r_given_truth"}),
-                    "log score": f"{where}.{prefix}log_score",
-                    "JS divergence": f"{where}.{prefix}js",
-                    "ECE": f"{where}.{prefix}ece",
-                },
-                [*models, among],
-            )
+            columns = {
+                "r": f"{where}.{kind}_r",
+                "r given truth": f"{where}.{kind}_r_given_truth",
+                "log score": f"{where}.{prefix}log_score",
+                "JS divergence": f"{where}.{prefix}js",
+                "ECE": f"{where}.{prefix}ece",
+            }
+            yield f"agreement with people on {word}{words}", columns, agreeing
     for kind, word in KIND_WORDS.items():
-        title, places = _by_part([metrics for _, metrics in models], kind)
-        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
-        yield f"{word} right, {title}", columns, right
-    yield (
-        "mean log probability of the true answer, nats",
-        {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()},
-        models,
-    )
+        title, places = _by_part([*models.values()], kind)
+        yield (
+            f"{word} right, {title}",
+            {name: (*place, f"{kind}_accuracy") for name, place in places.items()},
+            right,
+        )
+    truth = {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()}
+    yield "mean log probability of the true answer, nats", truth, models
+    doubts = {"r": "relation_r", "r given truth": "relation_r_given_truth"}
+    doubts |= {"log score gap": "log_score_gap", "Brier": "brier", "ECE": "ece"}
     yield (
         "doubt about relations (people: r of one with the rest)",
-        {
-            "r": "doubt.relation_r",
-            "r given truth": "doubt.relation_r_given_truth",
-            "log score gap": "doubt.log_score_gap",
-            "Brier": "doubt.brier",
-            "ECE": "doubt.ece",
-        },
-        [*models, among],
+        {heading: ("doubt", name) for heading, name in doubts.items()},
+        agreeing,
     )
 
 
@@ -214,12 +192,12 @@ def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict
     return "by true scenario (events)", places
 
 
-def _among_people(models: Sequence[Row]) -> dict[str, Any]:
+def _among_people(models: _Rows) -> dict[str, Any]:
     """Return people's agreement with each other, in the places of models' agreement with people.
 
     It is taken from the metrics of the model with the most events, and is about these events.
     """
-    by_events = sorted((m for _, m in models), key=lambda metrics: -metrics["n_events"])
+    by_events = sorted(models.values(), key=lambda metrics: -metrics["n_events"])
 
     def first(path: str) -> Any:
         return next(filter(None, (at(metrics, path) for metrics in by_events)), None)

@@ -184,12 +184,14 @@ class ModelComparison(Printed):
         """Everybody who answered, people first, with metrics; as figures and pages show them."""
         people = f"scripted {PEOPLE}" if rehearsed(self.events) else PEOPLE
         judged = peoples_answers(self.events)
-        looks = {"label": people, "colour": PEOPLE_COLOUR}
-        found = [Source(PEOPLE, PEOPLE, judged, **looks, metrics=self.people)]
+        found = [
+            Source(PEOPLE, PEOPLE, judged, label=people, colour=PEOPLE_COLOUR, metrics=self.people)
+        ]
         labels = [label_of(name) for name in self.models]
         for one, label, colour in zip(self.entries, labels, itertools.cycle(PALETTE), strict=False):
-            looks = {"label": label if labels.count(label) == 1 else one.name, "colour": colour}
-            found.append(dataclasses.replace(one, **looks, metrics=self.metrics[one.name]))
+            label = label if labels.count(label) == 1 else one.name
+            metrics = self.metrics[one.name]
+            found.append(dataclasses.replace(one, label=label, colour=colour, metrics=metrics))
         return [one for one in found if one.predictions]
 
     @property
@@ -293,7 +295,7 @@ class ModelComparison(Printed):
         lines = wrapped(f"{head}; {INTERVALS}")
         for note in self.notes:
             lines += wrapped(f"note: {note}")
-        tables = [*metric_tables(list(self.metrics.items()), self.people), *difference_tables(self)]
+        tables = [*metric_tables(self), *difference_tables(self)]
         for table in [*tables, *equivalence_tables(self)]:
             lines += table.lines()
         return "\n".join(lines)

@@ -64,7 +64,7 @@ def differences_of(
     else:
         pairs = [(name, against) for name in models if name != against]
     said = {name: Answers.of(predicted(events, of), of) for name, of in models.items()}
-    made: dict[tuple[str, ...], dict[Place, Resampled]] = {}
+    made: dict[tuple[str | bytes, ...], dict[Place, Resampled]] = {}
 
     def measures(answers: Answers) -> dict[Place, Resampled]:
         """Return all measures; they are the same in all pairs of models that answer the same."""
@@ -79,14 +79,14 @@ def differences_of(
         first, second = said[one].about(models[other]), said[other].about(models[one])
         theirs = measures(second.where_known(first))
         for path, mine in measures(first.where_known(second)).items():
-            value, scenario, counted = mine.minus(theirs[path]), None, first.events
-            if value is None or path[-1].endswith("_people"):
+            if (value := mine.minus(theirs[path])) is None or path[-1].endswith("_people"):
                 continue
-            if path[0] == "by_scenario":
-                scenario, path = path[1], path[2:]
-                counted = [event for event in counted if true_scenario(event) == scenario]
-            row = {"one": one, "other": other, "measure": ".".join(path), "scenario": scenario}
-            rows.append({**row, **value, "n_events": len(counted)})
+            by_scenario = path[0] == "by_scenario"
+            scenario = path[1] if by_scenario else None
+            row = {"one": one, "other": other, "scenario": scenario, **value}
+            row["measure"] = ".".join(path[2:] if by_scenario else path)
+            row["n_events"] = sum(scenario in (None, true_scenario(e)) for e in first.events)
+            rows.append(row)
     return _corrected(rows, "p")
 
 

@@ -219,7 +219,7 @@ class Evaluation(Printed):
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
         lines += wrapped(f"note: {REHEARSAL}") if rehearsed(self.events) else []
         ending = ["", *(line for text in told for line in wrapped(text))]
-        tables = metric_tables(list(self.compared.metrics.items()), self.compared.people)
+        tables = metric_tables(self.compared)
         lines += on_screen(tables, LINES - len(lines) - len(ending))
         return "\n".join([*lines, *ending])
 

@@ -118,7 +118,7 @@ def page_of(
     ``more`` are titles, words and functions that draw figures of something else. ``settings`` are
     of a single evaluation, which is not compared.
     """
-    summary = list(metric_tables(list(results.metrics.items()), results.people))
+    summary = list(metric_tables(results))
     shown = {**(tables or {}), "Summary": summary}
     told = [INTERVALS if summary else NOTHING_TO_COMPARE]
     if settings is None:

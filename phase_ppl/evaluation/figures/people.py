@@ -229,10 +229,11 @@ def over_time(source: Results, path: PathLike | None = None) -> Figure:
             axes.plot(people["at"], people["people"], color=PEOPLE_COLOUR, **lines)
             within = _of_people(event, people["at"], question, label)
             axes.vlines(people["at"], *within, lw=1.4, color=PEOPLE_COLOUR, alpha=0.5)
-            for place, answered in of.dropna(subset="probability").groupby("source"):
-                one = models[place]
-                axes.plot(answered["at"], answered["probability"], color=one.colour, **lines)
-                named[one.label] = Line2D([], [], color=one.colour, lw=1.8)
+            for place, one in enumerate(models):
+                answered = of[of["source"] == place].dropna(subset="probability")
+                if len(answered):
+                    axes.plot(answered["at"], answered["probability"], color=one.colour, **lines)
+                    named[one.label] = Line2D([], [], color=one.colour, lw=1.8)
             axes.set(ylim=(-0.02, 1.02), yticks=[0, 1])
             axes.set_xlim(0, (1.08 if len(ticks) > 1 else 1.5) * max(ticks[-1], 0.1))
             if len(ticks) <= _TICKS:
