@@ -24,7 +24,7 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import pandas as pd
@@ -93,6 +93,12 @@ _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 
 
+_SUMMARY: Final = (
+    *("n", "rank", "p_even", "right", "low", "high", "sure", "log_score", "expected", "p_score"),
+    "verdict",
+)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Calibration(Printed):
     """How sure a model was of videos whose truth is drawn from its prior. ``print`` shows it.
@@ -124,7 +130,8 @@ class Calibration(Printed):
         scores. Last ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
-        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
+        found = pd.DataFrame.from_dict(rows, orient="index", columns=[*_SUMMARY])
+        return found.rename_axis("quantity")
 
     def reliability(self, quantity: str) -> pd.DataFrame:
         """Return how often what was said with a probability is so.
@@ -212,33 +219,25 @@ class Calibration(Printed):
         return {str(name): part for name, part in self.table.groupby("quantity", sort=False)}
 
     def _summed(self, name: str, part: pd.DataFrame) -> dict[str, Any]:
-        place, n = part["place"].to_numpy(), len(part)
-        found: dict[str, Any] = {
-            "n": n,
-            "rank": place.mean(),
-            "p_even": kstest(place, "uniform").pvalue,
-        }
-        uneven = f"ranks are not even (p = {found['p_even']:.2g})"
-        verdict = uneven if found["p_even"] < DOUBTFUL else ""
-        of_answers = ("right", "low", "high", "sure", "log_score", "expected")
-        found |= dict.fromkeys((*of_answers, "p_score"), np.nan)
+        place, n, verdicts = part["place"].to_numpy(), len(part), []
+        found = dict.fromkeys(_SUMMARY, np.nan)
+        found |= {"n": n, "rank": place.mean(), "p_even": kstest(place, "uniform").pvalue}
         if part["top"].notna().all():
             right, top = part["right"].to_numpy(), part["top"].to_numpy()
-            low, high = clopper_pearson(float(right.sum()), n)
             gain = (part["log_score"] - part["expected"]).to_numpy()
-            said = [
-                self.evaluation.predictions[event].probabilities[name] for event in part["event"]
-            ]
-            p_score = _p_score(np.array(said), float(gain.sum()))
-            values = right.mean(), low, high, top.mean()
-            scores = part["log_score"].mean(), part["expected"].mean(), p_score
-            found |= dict(zip((*of_answers, "p_score"), (*values, *scores), strict=True))
-            if p_score < DOUBTFUL:
+            predictions = self.evaluation.predictions
+            said = [predictions[event].probabilities[name] for event in part["event"]]
+            found["low"], found["high"] = clopper_pearson(float(right.sum()), n)
+            found |= {"right": right.mean(), "sure": top.mean()}
+            found |= {score: part[score].mean() for score in ("log_score", "expected")}
+            found["p_score"] = _p_score(np.array(said), float(gain.sum()))
+            if found["p_score"] < DOUBTFUL:
                 how = "less sure than it should be" if gain.mean() > 0 else "too sure"
-                verdict = f"{how}: the truth scores {gain.mean():+.2f} nats against expectation" + (
-                    f", {verdict}" if verdict else ""
-                )
-        return {**found, "verdict": verdict or f"nothing wrong found in {n} videos"}
+                beyond = f"the truth scores {gain.mean():+.2f} nats against expectation"
+                verdicts.append(f"{how}: {beyond}")
+        if found["p_even"] < DOUBTFUL:
+            verdicts.append(f"ranks are not even (p = {found['p_even']:.2g})")
+        return {**found, "verdict": ", ".join(verdicts) or f"nothing wrong found in {n} videos"}
 
 
 def calibrate(
@@ -352,13 +351,10 @@ def _scenes(given: object) -> World | Sequence[Scene]:
     if isinstance(given, str | World):
         return named(given)
     found = [given] if isinstance(given, Scene) else given
-    if (
-        not isinstance(found, Sequence)
-        or not all(isinstance(one, Scene) for one in found)
-        or not found
-    ):
+    several = isinstance(found, Sequence) and all(isinstance(one, Scene) for one in found)
+    if not (found and several):
         raise InvalidSettingError(f"scenes={shown(given)}, expected a world, its name, or scenes")
-    return found
+    return cast("Sequence[Scene]", found)
 
 
 def _draw(drawing: _Drawing, number: int) -> Event:

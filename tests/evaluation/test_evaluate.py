@@ -364,15 +364,6 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert all(w in printed for w in ("people", *names, "1.00 [0.29, 1.00]", "independent (4)"))
 
 
-def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
-    evaluate(model=FailsAt(4, raises), progress=True)
-    shown = capsys.readouterr().err
-    assert "4 of 4 events" in shown
-    assert "model 'FailsAt', event 'b': ValueError: not today" in shown
-    evaluate(model=FailsAt(4, raises))
-    assert not capsys.readouterr().err
-
-
 # --- interrupted, kept and gone on with -----------------------------------------------------------
 
 

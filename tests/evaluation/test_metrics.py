@@ -23,7 +23,6 @@ from phase_ppl.evaluation.differences import _tested
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
-    participant_accuracy,
 )
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
@@ -353,10 +352,6 @@ def test_what_differs_by_the_margin_is_called_equivalent_in_one_of_twenty_cases(
 # --- what people got right ------------------------------------------------------------------------
 
 
-def responses(**rows: dict[str, str]) -> dict[str, Any]:
-    return {"responses": [{"participant": who, **row} for who, row in rows.items()]}
-
-
 def test_shares_and_majorities_of_votes() -> None:
     events = [
         make_event("a", COLLABORATIVE, [6, 4, 0]),
@@ -377,21 +372,3 @@ def test_shares_and_majorities_of_votes() -> None:
     one = {"goal_counts": {"red agent": {BLUE_TO_RED: 1, PINK_TO_BLUE: 3}}}
     of_goals = human_accuracy([make_event("a", COLLABORATIVE, judgments=one)])
     assert values(of_goals, "goal_accuracy", "majority.goal_accuracy") == [0.25, 0]
-
-
-def test_responses_tell_what_each_participant_got_right() -> None:
-    both = {"goal_red": BLUE_TO_RED, "goal_green": BLUE_TO_RED, "relation": "friendly"}
-    other = {"goal_red": BLUE_TO_RED, "goal_green": PINK_TO_BLUE}
-    events = [
-        make_event("a", COLLABORATIVE, judgments=responses(p=both, q=other, r={})),
-        make_event("b", COMPETING, judgments=responses(p=both)),
-    ]
-    found = human_accuracy(events)
-    by_participant = found["by_participant"]
-    assert by_participant == participant_accuracy(events)
-    assert by_participant["n_participants"] == 2
-    assert by_participant["by_scenario"]["collaborative"]["n"] == 2
-    # by events it is another mean: 3 of 4 in one, 1 of 2 in the other
-    for place in (by_participant, found):
-        right = values(place, "goal_accuracy", "relation_accuracy")
-        assert right == pytest.approx([(3 / 4 + 1 / 2) / 2, 1 / 2])

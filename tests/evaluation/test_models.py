@@ -14,7 +14,6 @@ from phase_ppl.evaluation.registry import ready
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
-from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.evaluation.toys import START, several, still
 from tests.world.examples import DEV, needs_dev
@@ -90,14 +89,6 @@ def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
     assert set(given.probabilities) == set(given.answers)
     possible = np.array([not is_self_referring(goal, 0) for goal in range(N_GOALS)])
     assert np.array_equal(given.probabilities["goal_red"] > 0, possible)
-
-
-def test_a_video_in_which_next_to_nothing_happens_has_an_answer() -> None:
-    event = still(n_frames=2)
-    given = ppl.evaluate(event, "predicate", workers=1, prior="independent").predictions[event.id]
-    for question, labels in QUESTIONS.items():
-        assert given.probabilities[question].shape == (len(labels),)
-    assert given.probabilities["relation"].argmax() == RELATIONS.index("neutral")
 
 
 # --- models by name -------------------------------------------------------------------------------

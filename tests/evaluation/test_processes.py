@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import phase_ppl as ppl
 from phase_ppl.simulator.processes import in_worker
 from phase_ppl.world.errors import AnswerError, InvalidSettingError
 from phase_ppl.world.event import Truth
-from tests.evaluation.toys import Counted, FailsAt, evaluate, guesses, right, still
+from tests.evaluation.toys import Counted, FailsAt, evaluate, guesses, still
 from tests.simulator.test_runner_processes import PATIENCE, is_alive, started
 from tests.simulator.toys import wait_until
 
@@ -86,17 +85,7 @@ def _falls_apart() -> None:
     raise ImportError("no module named elsewhere")
 
 
-def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending() -> None:
-    lock = threading.Lock()
-
-    def holds_a_lock(scene: Any, observation: Any, seed: int) -> Any:
-        with lock:
-            return right(scene, observation, seed)
-
-    with pytest.raises(InvalidSettingError, match=r"cannot be sent to worker.*workers=1"):
-        evaluate(model=holds_a_lock, workers=2)
-    assert len(evaluate(model=holds_a_lock).predictions) == 4
-
+def test_a_model_that_cannot_be_loaded_is_refused_and_a_thread_is_no_worker() -> None:
     class CannotLoad:
         def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
             raise AssertionError
@@ -111,7 +100,7 @@ def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending
         with pytest.raises(InvalidSettingError, match=r"cannot be loaded.*named elsewhere"):
             evaluate(model=CannotLoad(), executor=threads)
         found = evaluate(still(), asks, executor=threads)
-    assert found.predictions["still"].answers["relation"] == "friendly", "a thread is no worker"
+    assert found.predictions["still"].answers["relation"] == "friendly"
 
 
 # --- -9 and Ctrl-C -----------------------------------------------------------------------------

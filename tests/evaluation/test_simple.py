@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.users_parts import options_of
 from phase_ppl.evaluation.evaluate import event_seed
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
@@ -142,15 +141,3 @@ def _flat(record: Any) -> dict[str, Any]:
 
 def _whole(key: str, names: set[str]) -> str:
     return key if key in names else key.partition(".")[0]
-
-
-def test_of_several_models_each_gets_the_options_that_it_takes() -> None:
-    names = ("simple", *LESIONS)
-    given = {"speed": 5, "speed_noise": 0.1, "chains": 3, "rule": "paper"}
-    found = options_of(dict(zip(names, names, strict=True)), {"prior": "sparse_social"}, given)
-    for name, options in found.items():
-        assert options.get("prior") == (None if name == "no_social_goals" else "sparse_social")
-        assert options.get("speed") == (5 if name == "no_physics" else None)
-        assert options.get("speed_noise") == (0.1 if name == "noisy_physics" else None)
-        assert (options["chains"], options["rule"]) == (3, "paper")
-        ready(name, options)

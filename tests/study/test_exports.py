@@ -94,7 +94,7 @@ def test_judgments_are_read_and_joined_to_the_events(out: Path) -> None:
     assert len(found.table) == 6 * 3  # questions
     assert (found.table["response_time"] == 2.0).all()
     with_people = ppl.with_judgments(events, found)
-    assert all(event.judgments["n_raters"] == 2 for event in with_people)
+    assert all(len(event.judgments["responses"]) == 2 for event in with_people)
     metrics = ppl.evaluate(events, "majority", judgments=found).metrics
     assert metrics["people"]["by_participant"]["n_participants"] == 2
 
