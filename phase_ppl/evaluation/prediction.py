@@ -26,7 +26,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event, frame_shown
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.picture import Printed, bars, plain, wrapped
+from phase_ppl.world.picture import plain
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import space_of
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 _SUM_TOLERANCE: Final = 1e-3
 _COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries", "searches")
-_SHOWN: Final = 3  # answers to a question that are printed
-_MANY: Final = 8  # questions, beyond which only the answer itself is
 
 
 @functools.lru_cache(16)
@@ -79,10 +77,8 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Prediction(Printed):
+class Prediction:
     """Answers to the questions about one event. What is not given is absent, never guessed.
-
-    ``print`` shows the most probable ones.
 
     Attributes:
         event_id: of the event.
@@ -304,22 +300,6 @@ class Prediction(Printed):
             },
             hindsight=of_kind("hindsight of a prediction", given.get("hindsight") or "", str),
         )
-
-    def __str__(self) -> str:
-        told = "" if self.decided is None else ", decided" if self.decided else ", not decided"
-        lines = wrapped("prediction", f"{self.event_id}{told}")
-        for question, answer in self.answers.items():
-            label = question.removeprefix("goal_").removeprefix("relation_")
-            if question not in self.probabilities:
-                lines += wrapped(label, answer)
-                continue
-            order = np.argsort(-self.probabilities[question], kind="stable")
-            names = dict.fromkeys([answer, *(self.questions[question][i] for i in order)])
-            shown = list(names)[: _SHOWN if len(self.answers) <= _MANY else 1]
-            each = [(name, self.estimate(question, name)) for name in shown]
-            lines += bars(label, [(name, p) for name, p in each if p or name == answer])
-        unsure = ", ".join(question for question, sure in self.sure.items() if not sure)
-        return "\n".join([*lines, *(wrapped("not sure", unsure) if unsure else ())])
 
     def __repr__(self) -> str:
         return f"<Prediction of {self.event_id}: {', '.join(self.answers.values())}>"

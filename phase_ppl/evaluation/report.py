@@ -18,6 +18,7 @@ from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.evaluation.cells import (
+    INTERVALS,
     Table,
     difference_tables,
     equivalence_tables,
@@ -25,13 +26,13 @@ from phase_ppl.evaluation.cells import (
     number,
 )
 from phase_ppl.evaluation.comparison import ModelComparison, Source, label_of
-from phase_ppl.evaluation.evaluation import COMPARISON, SETTINGS, Evaluation
+from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
 from phase_ppl.evaluation.figures.frame import DRAWINGS, opened
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import titles_of, true_answers, true_scenario
 from phase_ppl.render.frames import draw_strip
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.picture import plain
@@ -49,10 +50,6 @@ _WORTH_A_ROW: Final = 0.05  # probability from which on an answer is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1000  # pixels
 
-INTERVALS: Final = (
-    "In brackets: 95 % intervals, of right answers Clopper-Pearson for as many independent answers "
-    "as they are worth, of the rest over resampled events."
-)
 NOTHING_TO_COMPARE: Final = "There is nothing to compare with: neither truth nor judgments."
 
 
@@ -77,13 +74,6 @@ def report(
     """
     source = as_path(folder)
     target = source / NAME if path is None else as_path(path)
-    if not source.is_dir():
-        raise InvalidEventError(f"{source}: no such folder")
-    if not any((source / name).is_file() for name in (SETTINGS, COMPARISON)):
-        raise InvalidEventError(
-            f"{source} holds neither an evaluation (it has no {SETTINGS}) nor a comparison (it has "
-            f"no {COMPARISON})"
-        )
     check_output(target, (".html",))
     if (source / COMPARISON).is_file():
         return write_page(page_of(opened(source), progress=progress), target)
@@ -120,7 +110,7 @@ def page_of(
     """
     summary = list(metric_tables(results))
     shown = {**(tables or {}), "Summary": summary}
-    told = [INTERVALS if summary else NOTHING_TO_COMPARE]
+    told = [f"In brackets: {INTERVALS}." if summary else NOTHING_TO_COMPARE]
     if settings is None:
         about = f"{', '.join(results.models)} on {len(results.events)} events."
         told = [about, *(f"{note}." for note in results.notes), *told]

@@ -128,9 +128,9 @@ def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
 def test_the_command_writes_the_report_and_bad_folders_and_places_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(InvalidEventError, match="no such folder"):
+    with pytest.raises(InvalidEventError, match="nowhere holds no evaluation"):
         ppl.report(tmp_path / "nowhere")
-    with pytest.raises(InvalidEventError, match="neither an evaluation"):
+    with pytest.raises(InvalidEventError, match="holds no evaluation: it has no settings"):
         ppl.report(tmp_path)
     folder = make_folder(tmp_path / "results")
     with pytest.raises(OutputError, match=r"expected a name in \.html"):
