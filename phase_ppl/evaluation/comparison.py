@@ -423,19 +423,13 @@ def evaluations(sources: Given | Sequence[Given] | Mapping[str, Given]) -> dict[
         inside = [(folder.name, Evaluation.load(folder)) for folder in _inside(source)]
         found += inside or [("", evaluation_of(source))]
     models = [evaluation.name for _, evaluation in found]
-    named: dict[str, Evaluation] = {}
-    for given, evaluation in found:
-        name = given or evaluation.name
-        folder = evaluation.folder
-        if not given and models.count(name) > 1 and folder is not None:
-            name = folder.path.resolve().name
-        if name in named:
-            raise InvalidSettingError(
-                f"two of the evaluations would be called {name!r}: name them, as in "
-                f"{{'one': ..., 'other': ...}} or one=DIR other=DIR"
-            )
-        named[name] = evaluation
-    return named
+    named = []
+    for name, one in found:
+        if not name and models.count(one.name) > 1 and one.folder is not None:
+            name = one.folder.path.resolve().name
+        named.append((name or one.name, one))
+    check_names([name for name, _ in named])
+    return dict(named)
 
 
 def check_names(names: Sequence[object]) -> None:
@@ -447,7 +441,8 @@ def check_names(names: Sequence[object]) -> None:
             raise InvalidSettingError(f"a model is called {name!r}, as people are: name it, as in "
                                       "{'mine': ...} or mine=DIR")  # fmt: skip
         if name in names[:place]:
-            raise InvalidSettingError(f"two models are called {name!r}: expected different names")
+            raise InvalidSettingError(f"two models are called {name!r}: name them, as in "
+                                      "{'one': ..., 'other': ...} or one=DIR other=DIR")  # fmt: skip
 
 
 def _inside(source: object) -> list[Path]:
