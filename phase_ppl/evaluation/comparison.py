@@ -157,7 +157,7 @@ class ModelComparison(Printed):
     @functools.cached_property
     def people(self) -> dict[str, Any]:
         """People's accuracy (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
-        return human_accuracy(self.events, seed=self.settings["seed"])
+        return human_accuracy(self.events)
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
@@ -441,8 +441,9 @@ def check_names(names: Sequence[object]) -> None:
             raise InvalidSettingError(f"a model is called {name!r}, as people are: name it, as in "
                                       "{'mine': ...} or mine=DIR")  # fmt: skip
         if name in names[:place]:
-            raise InvalidSettingError(f"two models are called {name!r}: name them, as in "
-                                      "{'one': ..., 'other': ...} or one=DIR other=DIR")  # fmt: skip
+            raise InvalidSettingError(
+                f"two models are called {name!r}: name them, as in {{'one': ...}} or one=DIR"
+            )
 
 
 def _inside(source: object) -> list[Path]:

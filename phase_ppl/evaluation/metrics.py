@@ -215,13 +215,12 @@ def _in_top(p: FloatArray, true: FloatArray) -> FloatArray:
 def measures_of(answers: Answers, weights: FloatArray) -> dict[Place, Resampled]:
     """Return all measures whose differences between models can be tested."""
     scores = {kind: scored(answers, kind) for kind in PREFIX}
-    right = {kind: of_kind["right"] for kind, of_kind in scores.items()}
-    found = accuracy_measures(answers, right, weights)
-    found["goal_top3_accuracy",] = Resampled.mean(weights, scores["goal"]["in_top"], of_shares=True)
-    for kind, of_kind in scores.items():
-        for path, chosen in answers.parts(kind).items():
-            part = np.where(chosen, of_kind["truth"], np.nan)
-            found[*path, f"{kind}_log_score_truth"] = Resampled.mean(weights, part)
+    right, truth = ({kind: of[name] for kind, of in scores.items()} for name in ("right", "truth"))
+    shares = by_part(answers, right, "accuracy")
+    shares["goal_top3_accuracy",] = scores["goal"]["in_top"]
+    found = {path: Resampled.mean(weights, of, of_shares=True) for path, of in shares.items()}
+    for path, of in by_part(answers, truth, "log_score_truth").items():
+        found[path] = Resampled.mean(weights, of)
     found |= {("human", name): one for name, one in agreement(answers, weights).items()}
     x, y, true = (answers.array("relation", c) for c in ("probability", "people", "truth"))
     groups = same_truth(label_places(true))
@@ -232,18 +231,16 @@ def measures_of(answers: Answers, weights: FloatArray) -> dict[Place, Resampled]
     return found
 
 
-def accuracy_measures(
-    answers: Answers, right: Mapping[str, FloatArray], weights: FloatArray
-) -> dict[Place, Resampled]:
-    """Return the accuracies, overall and of each part (:meth:`~Answers.parts`).
+def by_part(
+    answers: Answers, scores: Mapping[str, FloatArray], name: str
+) -> dict[Place, FloatArray]:
+    """Return place -> (event, question) scores of a kind, overall and of each part; else NaN.
 
-    ``right`` is kind -> (event, question) score of the answer, 0 to 1; NaN: unknown.
+    ``scores`` is kind -> (event, question); parts are those of :meth:`~Answers.parts`.
     """
     return {
-        (*path, f"{kind}_accuracy"): Resampled.mean(
-            weights, np.where(chosen, values, np.nan), of_shares=True
-        )
-        for kind, values in right.items()
+        (*path, f"{kind}_{name}"): np.where(chosen, values, np.nan)
+        for kind, values in scores.items()
         for path, chosen in answers.parts(kind).items()
     }
 
@@ -304,16 +301,11 @@ def at(metrics: Mapping[str, Any], path: str | Place) -> Any:
 # --- people's accuracy ----------------------------------------------------------------------------
 
 
-def human_accuracy(
-    events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
-) -> dict[str, Any]:
+def human_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     """Return the accuracy of people, from the judgments that the events carry.
 
     Args:
         events: those with both truth and judgments count.
-        seed: of the resamples. If all events count, a model's metrics with the same seed have the
-            same resamples.
-        resamples: of the events.
 
     Returns:
         ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
@@ -326,11 +318,9 @@ def human_accuracy(
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
-        InvalidSettingError: ``seed`` or ``resamples`` is out of range.
     """
     chosen = [e for e in events if e.truth is not None and (j := Judgments.of(e)) and j.counts]
     answers = Answers.of(events, {}).about([event.id for event in chosen])
-    weights = resampled(len(chosen), seed, resamples)
     share: dict[str, FloatArray] = {}
     majority: dict[str, FloatArray] = {}
     for kind in PREFIX:
@@ -345,8 +335,8 @@ def human_accuracy(
         result["scripted"] = True
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
-        measures = accuracy_measures(answers, right, weights)
-        put(place, {path: one.measure() for path, one in measures.items()})
+        shares = by_part(answers, right, "accuracy")
+        put(place, {path: proportion(of) for path, of in shares.items()})
         count_scenarios(place, chosen)
     result["majority"] = of_majority
     known = responses_of(chosen) is not None
