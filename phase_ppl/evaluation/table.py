@@ -49,12 +49,6 @@ def parts_of(world: World, kind: str) -> list[tuple[str, str]]:
     return [("by_pair", pair_of[question]) for question in pairs_of(world)]
 
 
-def part_of(event: Event, kind: str, place: int) -> str:
-    """Return the part, by its name, that the answer to a kind's question belongs to; "": none."""
-    group, name = parts_of(event.scene.world, kind)[place]
-    return true_scenario(event) or "" if group == "by_scenario" else name
-
-
 def titles_of(world: World) -> dict[str, str]:
     """Return question -> title of what shows the answers to it."""
     goals = dict(zip(world.agents, kinds_of(world)["goal"], strict=True))
@@ -128,20 +122,22 @@ class Answers:
         """Return what is said of events; a model's columns are NaN where it has no prediction."""
         columns: dict[str, list[Any]] = {name: [] for name in (*_NAMES, *_NUMBERS)}
         for event in events:
+            world, scenario = event.scene.world, true_scenario(event) or ""
             truth, judged = true_answers(event), Judgments.of(event)
-            made = predictions.get(event.id) or Prediction(event.id, world=event.scene.world)
+            made = predictions.get(event.id) or Prediction(event.id, world=world)
             moments = {} if judged is None else judged.moments
             for at, given in [(None, judged), *moments.items()]:
                 counts = {} if given is None else given.counts
                 said = made if at is None else made.at(at)
-                for kind, questions in kinds_of(event.scene.world).items():
-                    for place, question in enumerate(questions):
+                for kind, questions in kinds_of(world).items():
+                    parts = parts_of(world, kind)
+                    for question, (group, part) in zip(questions, parts, strict=False):
                         labels = made.questions[question]
                         votes = counts.get(question, np.zeros(len(labels), np.int64))
                         found: dict[str, Any] = {
                             **{"event": event.id, "kind": kind, "question": question},
-                            **{"part": part_of(event, kind, place), "label": list(labels)},
-                            **{"at": at, "votes": votes},
+                            "part": scenario if group == "by_scenario" else part,
+                            **{"label": list(labels), "at": at, "votes": votes},
                             "people": votes / votes.sum() if question in counts else None,
                             "truth": _marked(labels, truth.get(question)),
                             "answer": _marked(labels, said.answers.get(question)),
