@@ -45,10 +45,9 @@ from phase_ppl.evaluation.figures.frame import (
 from phase_ppl.evaluation.metrics import at as metric_at
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, Judgments, moments_of
-from phase_ppl.evaluation.table import Answers, responses_of, titles_of
+from phase_ppl.evaluation.table import Answers, parts_of, responses_of, titles_of, world_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,23 +58,26 @@ if TYPE_CHECKING:
 
 @drawing("Goals: models against people")
 def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
-    """Draw models' probabilities of goals against people's.
+    """Draw models' probabilities of goals against people's, by true scenario.
+
+    In other worlds than PHASE they are by agent.
 
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
     results = opened(source)
-    scenarios = scenarios_of(results.events)
     clouds: dict[Source, pd.DataFrame] = {}
     for o in results.sources:
         rows = Answers.of(results.events, o.predictions).whole
         rows = rows[rows["kind"] == "goal"].dropna(subset=["people", "probability"])
-        if o.kind != "people" and len(rows):
-            clouds[o] = rows.assign(scenario=[scenarios.get(event, "") for event in rows["event"]])
-    if not clouds:
+        if len(rows):
+            clouds[o] = rows
+    people = next((clouds.pop(o) for o in [*clouds] if o.kind == "people"), None)
+    if people is None or not clouds:
         raise NothingToDrawError("people judged no goal that a model gives probabilities for")
-    present = {name for rows in clouds.values() for name in rows["scenario"]}
-    columns = [name for name in (*SCENARIOS, "") if name in present]
+    parts = [name for _, name in parts_of(world_of(results.events), "goal")]
+    present = {name for rows in clouds.values() for name in rows["part"]}
+    columns = [name for name in (*parts, "") if name in present]
     figure = new_figure(
         width_of(clouds) + 0.3 + 1.4 * max(len(columns), 2),
         1.0 + 1.4 * len(clouds),
@@ -87,7 +89,7 @@ def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
             axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
             axes.scatter(
                 "people", "probability", s=9, alpha=0.4, lw=0, color=scenario_colour(name),
-                clip_on=False, data=rows[rows["scenario"] == name],
+                clip_on=False, data=rows[rows["part"] == name],
             )  # fmt: skip
             axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
         r = metric_at(answers.metrics, ("human", "goal_r"))
@@ -96,12 +98,10 @@ def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
             label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
             color=answers.colour,
         )  # fmt: skip
-    judged = next(o.predictions for o in results.sources if o.kind == "people")
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
-        n = sum(scenarios.get(event, "") == name for event in judged)
+        n = people.loc[people["part"] == name, "event"].nunique()
         style = {"color": scenario_colour(name), "fontweight": "bold"}
-        title = name or ("scenario not known" if scenarios else "all events")
-        titled(top, title, f"n = {n}", fontsize=NORMAL, **style)
+        titled(top, name or "scenario not known", f"n = {n}", fontsize=NORMAL, **style)
         bottom.set_xlabel("people", fontsize=SMALL)
     return figure
 
@@ -148,13 +148,12 @@ def people(source: Results, path: PathLike | None = None) -> Figure:
         both, truth = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0]), label_places(true)
         _doubts(left, p[both], shares[both], colours[both], (0.0, 1.0))
         left.set_ylabel("people")
-        p, shares = p.copy(), shares.copy()
-        for group in np.unique(truth[both]):
-            chosen = both & (truth == group)
-            for values in (p, shares):
-                values[chosen] -= values[chosen].mean(axis=0)
         known = both & (truth >= 0)
-        _doubts(right, p[known], shares[known], colours[known], (-1.0, 1.0))
+        x, y = (
+            of[known] - pd.DataFrame(of[known]).groupby(truth[known]).transform("mean").to_numpy()
+            for of in (p, shares)
+        )
+        _doubts(right, x, y, colours[known], (-1.0, 1.0))
         r, given_truth = (measure_text(answers.metrics["doubt"][name]) for name in _PARTS)
         style: dict[str, Any] = {"color": answers.colour, "fontweight": "bold"}
         titled(left, answers.label, f"r = {r}", fontsize=fitting([answers.label], 2.0), **style)
