@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from phase_ppl.data.documents import check_schema, converted, read_json
+from phase_ppl.data.documents import check_schema, converted, naming, read_document
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.bootstrap import Resampled, resampled
 from phase_ppl.evaluation.cells import (
@@ -33,7 +33,6 @@ from phase_ppl.evaluation.table import PEOPLE, peoples_answers, world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
-    PhasePPLError,
     check_name,
     number_or_nan,
     shown,
@@ -273,19 +272,17 @@ class ModelComparison(Printed):
         path = Path(folder)
         if not (path / COMPARISON).is_file():
             raise InvalidEventError(f"{path} holds no comparison: it has no {COMPARISON}")
-        record = read_json(path / COMPARISON)
-        events = load_events(path / EVENTS)
-        try:
+        events, read = load_events(path / EVENTS), []
+        with naming(path / COMPARISON):
+            record = read_document(path / COMPARISON)
             check_schema(record, SCHEMA)
-            kept, world, read = converted(record, _Kept), world_of(events), []
+            kept, world = converted(record, _Kept), world_of(events)
             for one in kept.models:
                 made = [Prediction.from_dict(given, world) for given in one.predictions]
                 by_id = {given.event_id: given for given in made}
                 read.append(Source(**{**msgspec.structs.asdict(one), "predictions": by_id}))
             settings = _checked({**USUAL, **kept.settings}, read)
-            return cls(events, read, settings, tuple(kept.notes))
-        except PhasePPLError as error:
-            raise InvalidEventError(f"{path / COMPARISON}: {error}") from None
+        return cls(events, read, settings, tuple(kept.notes))
 
     def __str__(self) -> str:
         models, events, judged = len(self.models), len(self.events), self.people["n_events"]

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.data.documents import check_schema, read_json
+from phase_ppl.data.documents import check_schema, naming, read_document, read_json
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
@@ -439,7 +439,7 @@ class ResultsFolder:
         for event in self.events:
             try:
                 prediction = self.prediction(event.id)
-            except InvalidEventError as error:
+            except PhasePPLError as error:
                 if damaged is None:
                     raise
                 damaged.append(f"{error}; the event is predicted again")
@@ -453,17 +453,12 @@ class ResultsFolder:
         source = self.folder_of(event_id) / PREDICTION
         if not source.is_file():
             return None
-        record = read_json(source)
-        world = self.events[self._place[event_id]].scene.world
-        try:
-            prediction = Prediction.from_dict(record, world)
-        except PhasePPLError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-        if prediction.event_id != event_id:
-            raise InvalidEventError(
-                f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"
-            )
-        return prediction
+        with naming(source):
+            world = self.events[self._place[event_id]].scene.world
+            found = Prediction.from_dict(read_document(source), world)
+            if found.event_id != event_id:
+                raise InvalidEventError(f"is of the event {found.event_id!r}, not {event_id!r}")
+        return found
 
     def write_failures(self, failures: Mapping[str, str]) -> None:
         """Keep what went wrong, by event."""
