@@ -179,6 +179,5 @@ def holm(p: pd.Series[float]) -> pd.Series[float]:
     Rejecting corrected values up to alpha keeps the probability of any false rejection in the
     family at most alpha. NaN is no test.
     """
-    rank = p.rank(method="first")
-    steps = (p * (p.count() + 1 - rank)).sort_values(kind="stable")
+    steps = p.sort_values(kind="stable") * (p.count() - np.arange(len(p)))
     return steps.cummax().clip(upper=1).reindex(p.index)
