@@ -64,11 +64,11 @@ def differences_of(
     else:
         pairs = [(name, against) for name in models if name != against]
     said = {name: Answers.of(predicted(events, of), of) for name, of in models.items()}
-    made: dict[tuple[str | bytes, ...], dict[Place, Resampled]] = {}
+    made: dict[tuple[object, ...], dict[Place, Resampled]] = {}
 
     def measures(answers: Answers) -> dict[Place, Resampled]:
         """Return all measures; they are the same in all pairs of models that answer the same."""
-        key = *(event.id for event in answers.events), answers.content()
+        key: tuple[object, ...] = (*(e.id for e in answers.events), answers.content())
         if key not in made:
             made[key] = measures_of(answers, resampled(len(answers.events), seed, resamples))
         return made[key]

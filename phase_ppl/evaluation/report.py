@@ -27,7 +27,7 @@ from phase_ppl.evaluation.cells import (
 )
 from phase_ppl.evaluation.comparison import ModelComparison, Source, label_of
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
-from phase_ppl.evaluation.figures.frame import DRAWINGS, opened
+from phase_ppl.evaluation.figures.frame import DRAWINGS
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import titles_of, true_answers, true_scenario
@@ -74,10 +74,10 @@ def report(
     """
     source = as_path(folder)
     target = source / NAME if path is None else as_path(path)
+    one = (ModelComparison if (source / COMPARISON).is_file() else Evaluation).load(source)
     check_output(target, (".html",))
-    if (source / COMPARISON).is_file():
-        return write_page(page_of(opened(source), progress=progress), target)
-    one = Evaluation.load(source)
+    if isinstance(one, ModelComparison):
+        return write_page(page_of(one, progress=progress), target)
     state = f"{len(one.predictions)} of {len(one.events)} events predicted"
     settings = {"failures": one.failures, **one.settings, "cost": one.cost}
     text = page_of(
