@@ -25,7 +25,7 @@ from videos.judging import Pair, Task, judge, model_of, true_pair
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.evaluation.evaluation import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import Hypothesis
 

@@ -122,13 +122,10 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Check several models before the first is asked."""
-    from phase_ppl.evaluation.comparison import (
-        check_names,
-        chosen_references,
-        reference_label,
-    )
+    from phase_ppl.evaluation.comparison import check_names, reference_label
     from phase_ppl.evaluation.evaluate import settings_of
-    from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
+    from phase_ppl.evaluation.evaluation import chosen_references
+    from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
 
@@ -184,7 +181,7 @@ def compare_models(options: Options) -> None:
 
     example: phase-ppl compare-models out/simple out/last_frame --out compared
     """
-    from phase_ppl.evaluation.evaluation import SETTINGS
+    from phase_ppl.evaluation.folder import SETTINGS
 
     if options.out is not None:
         if (options.out / SETTINGS).is_file():

@@ -27,6 +27,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import whole_number
 
 Measure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
+LEAST_EVENTS: Final = 10  # fewest events for a test of equivalence
 LEVEL: Final = 0.95  # share of the resampled values between ``ci_low`` and ``ci_high``
 
 _CONSTANT: Final = 1e-12

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
-from phase_ppl.evaluation.bootstrap import LEVEL
-from phase_ppl.evaluation.differences import LEAST_EVENTS
+from phase_ppl.evaluation.bootstrap import LEAST_EVENTS, LEVEL
 from phase_ppl.evaluation.metrics import PREFIX, Place, at
-from phase_ppl.evaluation.table import PEOPLE, parts_of, world_of
+from phase_ppl.evaluation.table import PEOPLE
 from phase_ppl.world.hypothesis import SCENARIOS
-
-if TYPE_CHECKING:
-    from phase_ppl.evaluation.comparison import ModelComparison
 
 NOTHING: Final = "-"  # in a terminal's table, in place of a missing number
 WIDTH: Final = 100  # columns of a terminal
@@ -110,12 +106,12 @@ def number(value: float | None) -> str:
 # --- tables of metrics ----------------------------------------------------------------------------
 
 
-def metric_tables(c: ModelComparison) -> Iterator[Table]:
+def metric_tables(models: _Rows, people: Mapping[str, Any]) -> Iterator[Table]:
     """Yield all tables of models' metrics, the most important first; below models come people.
 
     Rows, columns and tables without a number are left out.
     """
-    for title, columns, rows in _tables(c):
+    for title, columns, rows in _tables(models, people):
         numbers = [heading for heading, place in columns.items() if place != _EVENTS]
         cells = pd.DataFrame(
             {name: [_cell(m, place) for m in rows.values()] for name, place in columns.items()},
@@ -127,12 +123,11 @@ def metric_tables(c: ModelComparison) -> Iterator[Table]:
             yield Table(title, cells.loc[kept, known[kept].any()])
 
 
-def _tables(c: ModelComparison) -> Iterator[tuple[str, _Columns, _Rows]]:
+def _tables(models: _Rows, people: Mapping[str, Any]) -> Iterator[tuple[str, _Columns, _Rows]]:
     """Yield titles, columns and rows of tables."""
-    models, title = c.metrics, "right answers"
-    right: _Rows = models
-    if c.people["n_events"]:
-        right = {**models, PEOPLE: c.people, MAJORITY: c.people["majority"]}
+    right, title = models, "right answers"
+    if people["n_events"]:
+        right = {**models, PEOPLE: people, MAJORITY: people["majority"]}
         title += " (people: share of people who are right)"
     numbers = {"goals": "goal_accuracy", "goal in top 3": "goal_top3_accuracy"}
     numbers |= {"relations": "relation_accuracy", "events": _EVENTS, "CPU s/event": "cpu_seconds"}
@@ -236,18 +231,21 @@ _DIFFERENCES: Final = {
 }
 
 
-def difference_tables(c: ModelComparison) -> list[Table]:
+def difference_tables(
+    differences: Sequence[Mapping[str, Any]], first: str | None = None
+) -> list[Table]:
     """Return the tables of paired differences: in right answers, in log probabilities.
 
-    With more than :data:`PAIRS` pairs only those with the first model are shown.
+    With more than :data:`PAIRS` pairs only those with the model ``first`` are shown, if one is
+    given.
     """
-    found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
+    found = {(r["one"], r["other"], r["measure"]): r for r in differences if not r["scenario"]}
     tables, note = [], "p: bootstrap, corrected by Holm over the pairs"
     for title, measure in _DIFFERENCES.items():
         measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
         pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
-        if len(pairs) > PAIRS and c.settings["against"] is None:
-            pairs = [pair for pair in pairs if c.models[0] in pair]
+        if len(pairs) > PAIRS and first is not None:
+            pairs = [pair for pair in pairs if first in pair]
             note = "p: bootstrap, corrected by Holm over all pairs; more pairs are in .differences"
         if pairs:
             columns = {}
@@ -262,12 +260,11 @@ def difference_tables(c: ModelComparison) -> list[Table]:
     return [*tables[:-1], *(table._replace(note=note) for table in tables[-1:])]
 
 
-def equivalence_tables(c: ModelComparison) -> list[Table]:
+def equivalence_tables(equivalence: Sequence[Mapping[str, Any]], margin: float) -> list[Table]:
     """Return the table of equivalence with people, if there is one."""
-    rows = [row for row in c.equivalence if row["scenario"] is None]
+    rows = [row for row in equivalence if row["scenario"] is None]
     if not rows:
         return []
-    margin = c.settings["margin"]
     cells = pd.DataFrame(
         {
             "": [KIND_WORDS[row["measure"].removesuffix("_accuracy")] for row in rows],
@@ -281,13 +278,11 @@ def equivalence_tables(c: ModelComparison) -> list[Table]:
         },
         pd.Index([row["model"] for row in rows], name="model minus people"),
     )
-    groups = {group for kind in KIND_WORDS for group, _ in parts_of(world_of(c.events), kind)}
-    parts = " and ".join(sorted(group.removeprefix("by_") for group in groups))
     note = (
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
         f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
-        f"comparison.json has differences and equivalence by {parts} too."
+        "comparison.json has differences and equivalence by scenario, or by agent and pair, too."
     )
     return [Table(f"equivalence with people, margin {margin:g}", cells, note)]

@@ -5,31 +5,53 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import pandas as pd
+from scipy.special import ndtr
 
 from phase_ppl.data.documents import check_schema, converted, naming, read_document
 from phase_ppl.data.load import load_events, save_events
-from phase_ppl.evaluation.bootstrap import Resampled, resampled
+from phase_ppl.evaluation.bootstrap import (
+    LEAST_EVENTS,
+    LEVEL,
+    Resampled,
+    difference,
+    events_with,
+    interval,
+    resampled,
+    weighted_mean,
+    with_two,
+)
 from phase_ppl.evaluation.cells import (
     INTERVALS,
+    Table,
     difference_tables,
     equivalence_tables,
     metric_tables,
     wrapped,
 )
-from phase_ppl.evaluation.differences import differences_of, equivalence_of
-from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
-from phase_ppl.evaluation.metrics import at, human_accuracy, metrics_of
-from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
-from phase_ppl.evaluation.table import PEOPLE, peoples_answers, world_of
+from phase_ppl.evaluation.folder import COMPARISON, EVENTS, ResultsFolder
+from phase_ppl.evaluation.metrics import at, human_accuracy, measures_of, metrics_of
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.ratings import rehearsed
+from phase_ppl.evaluation.table import (
+    PEOPLE,
+    Answers,
+    Place,
+    kinds_of,
+    peoples_answers,
+    predicted,
+    true_scenario,
+    world_of,
+)
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -40,11 +62,8 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
-from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import Printed, plain
 
-Given: TypeAlias = Evaluation | str | os.PathLike[str]
-ALL: Final = "all"  # stands for all reference models of the events
 SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
@@ -160,7 +179,7 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
-        """Paired differences, see :func:`~phase_ppl.evaluation.differences.differences_of`.
+        """Paired differences, see :func:`differences_of`.
 
         ``pandas.DataFrame(comparison.differences)`` is a table of them.
         """
@@ -170,7 +189,7 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def equivalence(self) -> list[dict[str, Any]]:
-        """Models minus people, see :func:`~phase_ppl.evaluation.differences.equivalence_of`.
+        """Models minus people, see :func:`equivalence_of`.
 
         Empty where no judged event has truth.
         """
@@ -192,6 +211,17 @@ class ModelComparison(Printed):
             metrics = self.metrics[one.name]
             found.append(dataclasses.replace(one, label=label, colour=colour, metrics=metrics))
         return [one for one in found if one.predictions]
+
+    @property
+    def tables(self) -> dict[str, list[Table]]:
+        """Heading -> its tables of text, as they are printed and on the page."""
+        margin, against = self.settings["margin"], self.settings["against"]
+        first = None if against else self.models[0]
+        return {
+            "Summary": list(metric_tables(self.metrics, self.people)),
+            "Differences": difference_tables(self.differences, first),
+            "Equivalence with people": equivalence_tables(self.equivalence, margin),
+        }
 
     @property
     def table(self) -> pd.DataFrame:
@@ -220,7 +250,7 @@ class ModelComparison(Printed):
         for one in self.entries:
             if one.folder is None:
                 continue
-            kept = Evaluation.load(one.folder)
+            kept = ResultsFolder.open(one.folder)
             for event_id in one.predictions:
                 if (post := kept.posterior(event_id)) is not None:
                     kinds.add(type(post).__name__)
@@ -281,7 +311,7 @@ class ModelComparison(Printed):
                 made = [Prediction.from_dict(given, world) for given in one.predictions]
                 by_id = {given.event_id: given for given in made}
                 read.append(Source(**{**msgspec.structs.asdict(one), "predictions": by_id}))
-            settings = _checked({**USUAL, **kept.settings}, read)
+            settings = checked({**USUAL, **kept.settings}, read)
         return cls(events, read, settings, tuple(kept.notes))
 
     def __str__(self) -> str:
@@ -292,9 +322,9 @@ class ModelComparison(Printed):
         lines = wrapped(f"{head}; {INTERVALS}")
         for note in self.notes:
             lines += wrapped(f"note: {note}")
-        tables = [*metric_tables(self), *difference_tables(self)]
-        for table in [*tables, *equivalence_tables(self)]:
-            lines += table.lines()
+        for tables in self.tables.values():
+            for table in tables:
+                lines += table.lines()
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -309,59 +339,8 @@ class ModelComparison(Printed):
         return {"seed": self.settings["seed"], "resamples": self.settings["resamples"]}
 
 
-def compare_models(
-    sources: Given | Sequence[Given] | Mapping[str, Given],
-    *,
-    stored: str | Sequence[str] = (),
-    against: str | None = None,
-    common: bool = False,
-    margin: float = MARGIN,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> ModelComparison:
-    """Compare models, and people, on the same events.
-
-    Args:
-        sources: evaluations, or folders of evaluations; a folder with several in it stands for
-            all of them. Names may be given, ``{"fast": ..., "paper": ...}``. The default name is
-            the model's, or the folder's if several are of the same model.
-        stored: names of reference models, whose answers the events carry, to compare too; or "all".
-        against: name of the model that the others are compared with; by default every pair is
-            compared.
-        common: compare on the events that all evaluations share; otherwise they must be about
-            the same ones.
-        margin: largest difference of shares of right answers that counts as equivalence of a model
-            and people.
-        seed, resamples: of the events, for differences and equivalence; metrics have the 1000
-            resamples of the paper.
-
-    Raises:
-        InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
-            are about different events, the message says which.
-        InvalidSettingError: a source is no evaluation; there are none; two would have the same
-            name, or one the name of people; the events are of several worlds; or a number is out
-            of range.
-        UnknownNameError: there is no model of that name to compare with, or stored.
-    """
-    found = evaluations(sources)
-    if not found:
-        raise InvalidSettingError("there are no evaluations to compare")
-    events, notes = shared_events(found, common)
-    compared = entries(found, events, stored)
-    given = {"margin": margin, "against": against, "seed": seed, "resamples": resamples}
-    settings = _checked(given, compared)
-    for one in compared:
-        missing = len(events) - len(one.predictions)
-        if missing:
-            why = f" ({len(one.failures)} failed)" if one.failures else ""
-            notes.append(
-                f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}; its "
-                "scores are about those"
-            )
-    return ModelComparison(events, compared, settings, tuple(notes))
-
-
-def _checked(settings: Mapping[str, Any], compared: Sequence[Source]) -> dict[str, Any]:
+def checked(settings: Mapping[str, Any], compared: Sequence[Source]) -> dict[str, Any]:
+    """Return the settings of a comparison; errors as of :func:`phase_ppl.compare_models`."""
     margin, against = settings["margin"], settings["against"]
     if not 0 < number_or_nan(margin) < 1:
         raise InvalidSettingError(f"margin={shown(margin)}, expected a number between 0 and 1")
@@ -401,34 +380,6 @@ def _record(one: Source) -> dict[str, Any]:
     return {**fields, "predictions": [given.to_dict() for given in one.predictions.values()]}
 
 
-# --- who is compared ------------------------------------------------------------------------------
-
-
-def evaluations(sources: Given | Sequence[Given] | Mapping[str, Given]) -> dict[str, Evaluation]:
-    """Return name -> evaluation.
-
-    A folder that holds no evaluation itself stands for those in it, under the names of their
-    folders. Others are named by the model, or by the folder if several are of the same model.
-    """
-    if isinstance(sources, Mapping):
-        check_names(list(sources))
-        return {name: evaluation_of(source) for name, source in sources.items()}
-    if isinstance(sources, str | os.PathLike | Evaluation):
-        sources = [sources]
-    found: list[tuple[str, Evaluation]] = []
-    for source in sources:
-        inside = [(folder.name, Evaluation.load(folder)) for folder in _inside(source)]
-        found += inside or [("", evaluation_of(source))]
-    models = [evaluation.name for _, evaluation in found]
-    named = []
-    for name, one in found:
-        if not name and models.count(one.name) > 1 and one.folder is not None:
-            name = one.folder.path.resolve().name
-        named.append((name or one.name, one))
-    check_names([name for name, _ in named])
-    return dict(named)
-
-
 def check_names(names: Sequence[object]) -> None:
     """Raise InvalidSettingError unless names are different texts, other than people's name."""
     for place, name in enumerate(names):
@@ -443,84 +394,156 @@ def check_names(names: Sequence[object]) -> None:
             )
 
 
-def _inside(source: object) -> list[Path]:
-    """Return the folders of evaluations in a folder that holds none itself."""
-    if not isinstance(source, str | os.PathLike) or (Path(source) / SETTINGS).is_file():
-        return []
-    return sorted(file.parent for file in Path(source).glob(f"*/{SETTINGS}"))
+# --- differences between models, and equivalence with people: on resampled events -----------------
+# Both generalise to other events like these, not to other people or other runs of the models.
+
+Row = dict[str, Any]
+ALPHA: Final = 1 - LEVEL  # significance level of the corrected p of differences and equivalences
+
+_ROUNDING: Final = 1e-12
+"""Rounding error of shares' differences: a value this close to the margin counts as the margin."""
 
 
-def shared_events(
-    found: Mapping[str, Evaluation], common: bool = False
-) -> tuple[list[Event], list[str]]:
-    """Return the events that all evaluations are about, and notes about them.
+def differences_of(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    against: str | None = None,
+    seed: int,
+    resamples: int,
+) -> list[Row]:
+    """Return paired differences between models' scores, for every pair and measure.
 
-    Events are the same if id, scene and observation are. Truth and judgments are those of the first
-    evaluation.
+    With ``against`` the others are compared with that model alone. All pairs have the same
+    resamples of the events.
+
+    Returns:
+        Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
+        ``scenario`` (None: all), ``value`` (one minus other; higher is better, of ``js`` lower),
+        ``ci_low``, ``ci_high`` (95 %), ``p`` (two-sided,
+        :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and ``n_events`` (that both
+        predict). Holm's correction is over all pairs compared on the measure; by scenario it is
+        over all pairs and scenarios of the measure.
     """
-    given = {name: {event.id: event for event in one.events} for name, one in found.items()}
-    digests = {name: {i: event_digest(e) for i, e in of.items()} for name, of in given.items()}
-    (first, chosen), *others = given.items()
-    notes = []
-    for name, theirs in others:
-        pairs = {
-            i: (digests[first].get(i), digests[name].get(i)) for i in {**given[first], **theirs}
-        }
-        apart = [i for i, (mine, other) in pairs.items() if mine != other]
-        if apart and not common:
-            raise InvalidEventError(
-                f"{first} and {name} were asked about different events: {len(apart)}, such as "
-                f"{apart[0]!r}, are in one only, or differ in scene or observation; common=True "
-                "(--common) compares them on the events that all share"
-            )
-        chosen = {i: event for i, event in chosen.items() if i not in apart}
-        changed = [
-            i
-            for i, e in chosen.items()
-            if (e.truth, e.judgments) != (theirs[i].truth, theirs[i].judgments)
-        ]
-        if changed:
-            notes.append(
-                f"truth or judgments of {len(changed)} events, such as {changed[0]!r}, are not the "
-                f"same in {first} and {name}; those in {first} count"
-            )
-    if not chosen:
-        raise InvalidEventError(f"there is no event that {', '.join(found)} share")
-    if rehearsed(chosen.values()):
-        notes.append(REHEARSAL)
-    largest = max(map(len, given.values()))
-    if len(chosen) < largest:
-        notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
-    return list(chosen.values()), notes
+    if against is None:
+        pairs = list(itertools.combinations(models, 2))
+    else:
+        pairs = [(name, against) for name in models if name != against]
+    said = {name: Answers.of(predicted(events, of), of) for name, of in models.items()}
+    made: dict[tuple[object, ...], dict[Place, Resampled]] = {}
+
+    def measures(answers: Answers) -> dict[Place, Resampled]:
+        """Return all measures; they are the same in all pairs of models that answer the same."""
+        key: tuple[object, ...] = (*(e.id for e in answers.events), answers.content())
+        if key not in made:
+            made[key] = measures_of(answers, resampled(len(answers.events), seed, resamples))
+        return made[key]
+
+    rows: list[Row] = []
+    for one, other in pairs:
+        # only questions that both answer count, event by event
+        first, second = said[one].about(models[other]), said[other].about(models[one])
+        theirs = measures(second.where_known(first))
+        for path, mine in measures(first.where_known(second)).items():
+            if (value := mine.minus(theirs[path])) is None or path[-1].endswith("_people"):
+                continue
+            by_scenario = path[0] == "by_scenario"
+            scenario = path[1] if by_scenario else None
+            row = {"one": one, "other": other, "scenario": scenario, **value}
+            row["measure"] = ".".join(path[2:] if by_scenario else path)
+            row["n_events"] = sum(scenario in (None, true_scenario(e)) for e in first.events)
+            rows.append(row)
+    return _corrected(rows, "p")
 
 
-def entries(
-    found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
-) -> list[Source]:
-    """Return the compared models with their answers about the events."""
-    ids = [event.id for event in events]
-    made = [
-        Source(
-            name,
-            "model",
-            {i: one.predictions[i] for i in ids if i in one.predictions},
-            {key: value for key, value in one.settings.items() if key != "events"},
-            {i: str(one.failures[i]) for i in ids if i in one.failures},
-            None if one.folder is None else str(one.folder.path),
-        )
-        for name, one in found.items()
+def equivalence_of(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    margin: float,
+    seed: int,
+    resamples: int,
+) -> list[Row]:
+    """Return models' accuracy minus people's, with a test of equivalence.
+
+    The difference is a mean over the events that both answered: the model's score (1 or 0; for
+    goals the mean of both agents) minus the share of people who are right. Two one-sided tests by
+    resampling show that it is not below ``-margin`` and not above ``margin``.
+
+    Events that agree show no spread. So p is at least that of normal tests, corrected for
+    continuity (1 / 2n). Their spread is the larger of two: the events' own, and a model's that errs
+    where people do not, in about a share ``margin`` of the events.
+
+    Returns:
+        Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:
+        all), ``value``, ``ci_low``, ``ci_high`` (95 %), ``low``, ``high`` (90 %), ``p`` (two-sided,
+        of no difference), ``p_equivalent`` (of the two one-sided tests), both with ``_holm``,
+        as in :func:`differences_of`; ``n_events``, and ``verdict``: "equivalent" if the corrected
+        ``p_equivalent`` is at most 0.05; "higher" or "lower" if the corrected ``p`` is; both
+        joined if both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events are not tested
+        for equivalence.
+    """
+    rows: list[Row] = []
+    for model, predictions in models.items():
+        answers = Answers.of(predicted(events, predictions), predictions)
+        weights = resampled(len(answers.events), seed, resamples)
+        for kind in kinds_of(answers.world):
+            true, given, people = (answers.array(kind, c) for c in ("truth", "answer", "people"))
+            more = (true * given).sum(axis=-1) - (people * true).sum(axis=-1)
+            for path, chosen in answers.parts(kind).items():
+                part = np.where(chosen, more, np.nan)
+                found = _tested(weighted_mean(weights, part), events_with(part), margin)
+                if found is not None:
+                    part_name = path[-1] if path else None
+                    row = {"model": model, "measure": f"{kind}_accuracy", "scenario": part_name}
+                    rows.append({**row, **found})
+    for name in ("p", "p_equivalent"):
+        rows = _corrected(rows, name)
+    return [{**row, "verdict": _verdict(row)} for row in rows]
+
+
+def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
+    found: Row | None = difference(values, np.zeros_like(values), n, of_shares=True)
+    if found is None:
+        return None
+    drawn = values[1:][np.isfinite(values[1:])]
+    low = high = p = None
+    if n > 1 and drawn.size:
+        low, high = interval(with_two(values, n), 1 - 2 * ALPHA)
+    if n >= LEAST_EVENTS and drawn.size:
+        inside = margin - _ROUNDING
+        beyond = max((drawn <= -inside).sum(), (drawn >= inside).sum())
+        spread = max(float(drawn.var()), margin * (1 - margin) / n)
+        within = (margin - abs(found["value"]) - 0.5 / n) / math.sqrt(spread)
+        p = max(float((beyond + 1) / (drawn.size + 1)), float(ndtr(-within)))
+    return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
+
+
+def _verdict(row: Row) -> str:
+    words = []
+    if row["p_equivalent_holm"] is not None and row["p_equivalent_holm"] <= ALPHA:
+        words.append("equivalent")
+    if row["p_holm"] is not None and row["p_holm"] <= ALPHA:
+        words.append("higher" if row["value"] > 0 else "lower")
+    return ", ".join(words) or "undecided"
+
+
+def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
+    """Return the rows with corrected p-values; families are by measure, and overall or scenario."""
+    table = pd.DataFrame(rows, columns=["measure", "scenario", name]).astype({name: float})
+    families = table.groupby(["measure", table["scenario"].isna()])
+    corrected = families[name].transform(holm) if rows else table[name]
+    return [
+        {**row, f"{name}_holm": None if math.isnan(value) else value}
+        for row, value in zip(rows, corrected.tolist(), strict=True)
     ]
-    references = reference_predictions(events)
-    for name in chosen_references(stored, references):
-        made.append(Source(reference_label(name, found), "reference", references[name]))
-    return made
 
 
-def chosen_references(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
-    """Return the names of the chosen reference models."""
-    known = list(references)
-    if isinstance(stored, str):
-        stored = known if stored == ALL else [stored]
-    for name in stored:
-        check_name("stored model", name, known)
-    return list(dict.fromkeys(stored))
+def holm(p: pd.Series[float]) -> pd.Series[float]:
+    """Return p-values of a family of tests, corrected by Holm's step-down procedure (Holm 1979).
+
+    Rejecting corrected values up to alpha keeps the probability of any false rejection in the
+    family at most alpha. NaN is no test.
+    """
+    steps = p.sort_values(kind="stable") * (p.count() - np.arange(len(p)))
+    return steps.cummax().clip(upper=1).reindex(p.index)

@@ -18,13 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
-from phase_ppl.evaluation.evaluation import (
-    METRICS,
-    POSTERIOR,
-    Evaluation,
-    ResultsFolder,
-    all_events,
-)
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder, all_events
 from phase_ppl.evaluation.judgments import Study, judged
 from phase_ppl.evaluation.prediction import Prediction, until_moments
 from phase_ppl.evaluation.ratings import moments_of
@@ -123,7 +118,7 @@ def evaluate(
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In other
             worlds than PHASE the questions are ``goal_<agent>`` and ``relation_<one>_<other>``,
             and the named models are "stepwise", "predicate", "last_frame" and those of ``infer``.
-        out: folder to keep everything in (:mod:`phase_ppl.evaluation.evaluation`), event by event;
+        out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
             by default nothing is kept.
         workers: most processes; by default one per usable core. 1 runs the model in this
             process, as do models that cannot run in parallel. With an ``executor``, how many

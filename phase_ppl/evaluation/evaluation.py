@@ -1,20 +1,4 @@
-"""A model's predictions of many events, and the folder that keeps them.
-
-::
-
-    DIR/
-      settings.json          what determines the result: model, options, seed, events, versions
-      events.json            the events, in the package's own format
-      events/0007-ID/        one folder per finished event, made whole or not at all
-        prediction.json      what the model answered
-        posterior.nc         where the model has one
-      failures.json          event id -> what went wrong, of the events without a prediction
-      metrics.json           written last
-      figures/*.png
-
-An event's folder exists only if its prediction is complete. So an interrupted evaluation continues
-with the missing events.
-"""
+"""A model's predictions of many events, and several models compared."""
 
 from __future__ import annotations
 
@@ -22,55 +6,35 @@ import dataclasses
 import functools
 import math
 import os
-import re
-import secrets
-import shutil
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from phase_ppl.analysis.posterior import Posterior, load_posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.data.documents import check_schema, naming, read_document, read_json
-from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
-from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.comparison import (
+    MARGIN,
+    RESAMPLES,
+    USUAL,
+    ModelComparison,
+    Source,
+    check_names,
+    checked,
+    reference_label,
+)
+from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import Answers
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-    PhasePPLError,
-    check_name,
-    instance_of,
-    shown,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import refusing, writable_folder, write_json
-from phase_ppl.world.identity import differences
+from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import Printed, plain
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from phase_ppl.evaluation.comparison import ModelComparison
-
-SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
-SETTINGS: Final = "settings.json"
-EVENTS: Final = "events.json"
-PREDICTION: Final = "prediction.json"
-POSTERIOR: Final = "posterior.nc"
-METRICS: Final = "metrics.json"
-FAILURES: Final = "failures.json"
-
-COMPARISON: Final = "comparison.json"
-"""The file that marks the folder of a comparison of models."""
-
-_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
-"""The settings that must be the same to continue an evaluation, beside events and versions."""
 
 _UNKNOWN: Final = (
     "errors of all answers are unknown, as with one set of searches (planner_seeds=1): no answer "
@@ -127,8 +91,6 @@ class Evaluation(Printed):
     @functools.cached_property
     def compared(self) -> ModelComparison:
         """It beside people, and the models whose answers the events carry."""
-        from phase_ppl.evaluation.comparison import ALL, USUAL, ModelComparison, entries
-
         return ModelComparison(self.events, entries({self.name: self}, self.events, ALL), USUAL)
 
     @functools.cached_property
@@ -180,8 +142,7 @@ class Evaluation(Printed):
             UnknownNameError: there is no such event.
         """
         check_name("event", event_id, [event.id for event in self.events])
-        file = None if self.folder is None else self.folder.folder_of(event_id) / POSTERIOR
-        return load_posterior(file) if file is not None and file.is_file() else None
+        return None if self.folder is None else self.folder.posterior(event_id)
 
     @property
     def finished(self) -> bool:
@@ -219,7 +180,7 @@ class Evaluation(Printed):
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
         lines += wrapped(f"note: {REHEARSAL}") if rehearsed(self.events) else []
         ending = ["", *(line for text in told for line in wrapped(text))]
-        tables = metric_tables(self.compared)
+        tables = metric_tables(self.compared.metrics, self.compared.people)
         lines += on_screen(tables, LINES - len(lines) - len(ending))
         return "\n".join([*lines, *ending])
 
@@ -235,249 +196,6 @@ class Evaluation(Printed):
             f"<Evaluation of {self.name}: {len(self.predictions)} of {len(self.events)} events, "
             f"{len(self.failures)} failed>"
         )
-
-
-def evaluation_of(source: object) -> Evaluation:
-    """Return an evaluation, or read it from a folder."""
-    if isinstance(source, Evaluation):
-        return source
-    if not isinstance(source, str | os.PathLike):
-        raise InvalidSettingError(f"{shown(source)} is neither an evaluation nor the folder of one")
-    if not Path(source).exists():
-        raise InvalidEventError(f"{source}: no such folder")
-    return Evaluation.load(source)
-
-
-# --- the events that are asked about --------------------------------------------------------------
-
-GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
-EVENT_FILES: Final = (".json",)  # endings of the files that are read from a folder of events
-
-
-def all_events(
-    events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
-) -> list[Event]:
-    """Return the events of a file or folder, or the given events, checked.
-
-    Args:
-        events: a file, a folder of files or a generated data set; an event, or several.
-        split: of a generated data set, only the events of that part.
-
-    Raises:
-        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
-        InvalidSettingError: ``events`` are none of these.
-    """
-    if split is not None:
-        given = load_events(events) if isinstance(events, str | os.PathLike) else events
-        if not isinstance(given, GeneratedEvents):
-            raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
-        return list(given.split(split))
-    sources: list[tuple[str, Sequence[Event]]]
-    if isinstance(events, str | os.PathLike):
-        sources = [(f" in {file}", load_events(file)) for file in _files(events)]
-    else:
-        events = [events] if isinstance(events, Event) else events
-        instance_of("events", events, Iterable, "a file, a folder or events")
-        sources = [("", list(events))]
-    seen: dict[str, str] = {}
-    for where, found in sources:
-        for event in found:
-            if not isinstance(event, Event):
-                raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_events reads")
-            if event.id in seen:
-                both = f"{seen[event.id]} and{where}" if where else ""
-                raise InvalidEventError(f"there are two events with the id {event.id!r}{both}")
-            seen[event.id] = where
-    if not seen:
-        raise InvalidEventError("there are no events to evaluate")
-    return [event for _, found in sources for event in found]
-
-
-def _files(path: str | os.PathLike[str]) -> list[Path]:
-    source = Path(path)
-    if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
-        return [source]
-    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
-        raise InvalidEventError(
-            f"{source} holds an evaluation; its events are in {source / EVENTS}"
-        )
-    files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
-    if not files:
-        endings = ", ".join(EVENT_FILES)
-        raise InvalidEventError(f"{source}: the folder holds no event files ({endings})")
-    return files
-
-
-# --- kept -----------------------------------------------------------------------------------------
-
-
-class ResultsFolder:
-    """The folder of an evaluation: the content of settings.json, and all events in order."""
-
-    def __init__(self, path: Path, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
-        self.path = path
-        self.settings = dict(settings)
-        self.events = list(events)
-        self._place = {event.id: index for index, event in enumerate(self.events)}
-
-    @classmethod
-    def create(
-        cls, path: str | os.PathLike[str], settings: Mapping[str, Any], events: Sequence[Event]
-    ) -> ResultsFolder:
-        """Make a folder for a new evaluation."""
-        folder = Path(path)
-        if holds_predictions(folder):
-            raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
-        writable_folder(folder / "events")
-        made = cls(folder, settings, events)
-        made.update(settings, events)
-        return made
-
-    @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
-        """Open the folder of an evaluation, finished or not."""
-        folder = Path(path)
-        if not (folder / SETTINGS).is_file():
-            raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
-        settings = read_json(folder / SETTINGS)
-        check_schema(settings, SCHEMA, folder / SETTINGS)
-        return cls(folder, settings, load_events(folder / EVENTS))
-
-    @classmethod
-    def begin(
-        cls,
-        path: str | os.PathLike[str],
-        settings: Mapping[str, Any],
-        events: Sequence[Event],
-        resume: bool,
-    ) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
-        """Begin an evaluation's folder or, with ``resume``, continue it.
-
-        Returned are the folder, its predictions, and notes about damaged ones.
-        """
-        if not resume or not holds_predictions(Path(path)):
-            return cls.create(path, settings, events), {}, []
-        folder = cls.open(path)
-        folder.check_same(settings)
-        notes: list[str] = []
-        done = folder.predictions(notes)
-        before = folder.settings.get("versions") or {}
-        other = differences(before, settings["versions"])
-        if other and len(done) < len(events):
-            raise InvalidSettingError(f"{path} was made with other versions: {'; '.join(other)}")
-        folder.update({**settings, "versions": before}, events)
-        return folder, done, notes
-
-    def check_same(self, settings: Mapping[str, Any]) -> None:
-        """Raise the errors of :meth:`begin` for other settings or events; change nothing."""
-        before, now = (
-            {name: given.get(name) for name in _DETERMINE} for given in (self.settings, settings)
-        )
-        found = differences(before, now)
-        if before["model"] != now["model"]:  # the other differences follow from this one
-            found = found[:1]
-        holds = f"{self.path} holds an evaluation"
-        if found:
-            raise InvalidSettingError(f"{holds} with other settings: {'; '.join(found)}")
-        old, new = self.settings.get("events"), settings["events"]
-        ids = [event.id for event in self.events]
-        if not isinstance(old, dict) or list(old) != ids[: len(old)]:
-            raise InvalidEventError(
-                f"{self.path}: settings.json and events.json do not fit together"
-            )
-        if len(old) > len(new):
-            raise InvalidSettingError(f"{holds} of {len(old)} events, but {len(new)} are given")
-        for place, (was, given) in enumerate(zip(old.items(), new.items(), strict=False), start=1):
-            if was != given:
-                how = "" if was[0] != given[0] else ", whose scene or observation differ"
-                raise InvalidSettingError(
-                    f"{holds} of other events: number {place} is {given[0]!r}, was {was[0]!r}{how}"
-                )
-
-    def update(self, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Replace settings and events; new events may follow the old ones.
-
-        The old metrics are deleted, and so are unfinished files of a killed evaluation.
-        """
-        with refusing(f"into {self.path}"):
-            for name in (METRICS, FAILURES):
-                (self.path / name).unlink(missing_ok=True)
-            for part in self.path.glob("events/.part-*"):
-                shutil.rmtree(part, ignore_errors=True)
-        save_events(events, self.path / EVENTS)
-        self.settings = {"schema": SCHEMA, **settings}
-        self.events = list(events)
-        self._place = {event.id: index for index, event in enumerate(self.events)}
-        write_json(self.path / SETTINGS, self.settings)
-
-    def folder_of(self, event_id: str) -> Path:
-        """Return the folder of an event; it need not exist."""
-        return self.path / "events" / entry_name(self._place[event_id], event_id)
-
-    def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
-        """Keep the prediction of an event; ``artefacts(folder)`` writes its other files."""
-        target = self.folder_of(prediction.event_id)
-        part = target.with_name(f".part-{secrets.token_hex(4)}")
-        try:
-            with refusing(str(target)):
-                part.mkdir()
-                if artefacts is not None:
-                    artefacts(part)
-                write_json(part / PREDICTION, prediction.to_dict())
-                if target.exists():
-                    shutil.rmtree(target)
-                os.replace(part, target)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-
-    def predictions(self, damaged: list[str] | None = None) -> dict[str, Prediction]:
-        """Return event id -> prediction of the finished events, in the order of the events.
-
-        Errors of damaged ones are appended to the list ``damaged``; without it they are raised.
-        """
-        done = {}
-        for event in self.events:
-            try:
-                prediction = self.prediction(event.id)
-            except PhasePPLError as error:
-                if damaged is None:
-                    raise
-                damaged.append(f"{error}; the event is predicted again")
-                continue
-            if prediction is not None:
-                done[event.id] = prediction
-        return done
-
-    def prediction(self, event_id: str) -> Prediction | None:
-        """Return the prediction of an event; None: it is not finished."""
-        source = self.folder_of(event_id) / PREDICTION
-        if not source.is_file():
-            return None
-        with naming(source):
-            world = self.events[self._place[event_id]].scene.world
-            found = Prediction.from_dict(read_document(source), world)
-            if found.event_id != event_id:
-                raise InvalidEventError(f"is of the event {found.event_id!r}, not {event_id!r}")
-        return found
-
-    def write_failures(self, failures: Mapping[str, str]) -> None:
-        """Keep what went wrong, by event."""
-        write_json(self.path / FAILURES, failures)
-
-    def failures(self) -> dict[str, Any]:
-        """Return event id -> what went wrong."""
-        source = self.path / FAILURES
-        return read_json(source) if source.is_file() else {}
-
-
-def entry_name(place: int, event_id: str) -> str:
-    """Return the name of an event's folder, from its place among the events and its id."""
-    return f"{place:04d}-{re.sub(r'[^A-Za-z0-9._-]+', '_', event_id)[:80]}"
-
-
-def holds_predictions(folder: Path) -> bool:
-    """Whether an evaluation in ``folder`` has finished any event."""
-    return any(folder.glob(f"events/*/{PREDICTION}"))
 
 
 # --- printed --------------------------------------------------------------------------------------
@@ -500,3 +218,180 @@ def _cost(cost: Mapping[str, Any]) -> str:
 
 def _time(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+
+
+# --- several models, and people, on the same events -----------------------------------------------
+
+Given: TypeAlias = Evaluation | str | os.PathLike[str]
+ALL: Final = "all"  # stands for all reference models of the events
+
+
+def compare_models(
+    sources: Given | Sequence[Given] | Mapping[str, Given],
+    *,
+    stored: str | Sequence[str] = (),
+    against: str | None = None,
+    common: bool = False,
+    margin: float = MARGIN,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> ModelComparison:
+    """Compare models, and people, on the same events.
+
+    Args:
+        sources: evaluations, or folders of evaluations; a folder with several in it stands for
+            all of them. Names may be given, ``{"fast": ..., "paper": ...}``. The default name is
+            the model's, or the folder's if several are of the same model.
+        stored: names of reference models, whose answers the events carry, to compare too; or "all".
+        against: name of the model that the others are compared with; by default every pair is
+            compared.
+        common: compare on the events that all evaluations share; otherwise they must be about
+            the same ones.
+        margin: largest difference of shares of right answers that counts as equivalence of a model
+            and people.
+        seed, resamples: of the events, for differences and equivalence; metrics have the 1000
+            resamples of the paper.
+
+    Raises:
+        InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
+            are about different events, the message says which.
+        InvalidSettingError: a source is no evaluation; there are none; two would have the same
+            name, or one the name of people; the events are of several worlds; or a number is out
+            of range.
+        UnknownNameError: there is no model of that name to compare with, or stored.
+    """
+    found = evaluations(sources)
+    if not found:
+        raise InvalidSettingError("there are no evaluations to compare")
+    events, notes = shared_events(found, common)
+    compared = entries(found, events, stored)
+    given = {"margin": margin, "against": against, "seed": seed, "resamples": resamples}
+    settings = checked(given, compared)
+    for one in compared:
+        missing = len(events) - len(one.predictions)
+        if missing:
+            why = f" ({len(one.failures)} failed)" if one.failures else ""
+            notes.append(
+                f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}; its "
+                "scores are about those"
+            )
+    return ModelComparison(events, compared, settings, tuple(notes))
+
+
+def evaluation_of(source: object) -> Evaluation:
+    """Return an evaluation, or read it from a folder."""
+    if isinstance(source, Evaluation):
+        return source
+    if not isinstance(source, str | os.PathLike):
+        raise InvalidSettingError(f"{shown(source)} is neither an evaluation nor the folder of one")
+    if not Path(source).exists():
+        raise InvalidEventError(f"{source}: no such folder")
+    return Evaluation.load(source)
+
+
+def evaluations(sources: Given | Sequence[Given] | Mapping[str, Given]) -> dict[str, Evaluation]:
+    """Return name -> evaluation.
+
+    A folder that holds no evaluation itself stands for those in it, under the names of their
+    folders. Others are named by the model, or by the folder if several are of the same model.
+    """
+    if isinstance(sources, Mapping):
+        check_names(list(sources))
+        return {name: evaluation_of(source) for name, source in sources.items()}
+    if isinstance(sources, str | os.PathLike | Evaluation):
+        sources = [sources]
+    found: list[tuple[str, Evaluation]] = []
+    for source in sources:
+        inside = [(folder.name, Evaluation.load(folder)) for folder in _inside(source)]
+        found += inside or [("", evaluation_of(source))]
+    models = [evaluation.name for _, evaluation in found]
+    named = []
+    for name, one in found:
+        if not name and models.count(one.name) > 1 and one.folder is not None:
+            name = one.folder.path.resolve().name
+        named.append((name or one.name, one))
+    check_names([name for name, _ in named])
+    return dict(named)
+
+
+def _inside(source: object) -> list[Path]:
+    """Return the folders of evaluations in a folder that holds none itself."""
+    if not isinstance(source, str | os.PathLike) or (Path(source) / SETTINGS).is_file():
+        return []
+    return sorted(file.parent for file in Path(source).glob(f"*/{SETTINGS}"))
+
+
+def shared_events(
+    found: Mapping[str, Evaluation], common: bool = False
+) -> tuple[list[Event], list[str]]:
+    """Return the events that all evaluations are about, and notes about them.
+
+    Events are the same if id, scene and observation are. Truth and judgments are those of the first
+    evaluation.
+    """
+    given = {name: {event.id: event for event in one.events} for name, one in found.items()}
+    digests = {name: {i: event_digest(e) for i, e in of.items()} for name, of in given.items()}
+    (first, chosen), *others = given.items()
+    notes = []
+    for name, theirs in others:
+        pairs = {
+            i: (digests[first].get(i), digests[name].get(i)) for i in {**given[first], **theirs}
+        }
+        apart = [i for i, (mine, other) in pairs.items() if mine != other]
+        if apart and not common:
+            raise InvalidEventError(
+                f"{first} and {name} were asked about different events: {len(apart)}, such as "
+                f"{apart[0]!r}, are in one only, or differ in scene or observation; common=True "
+                "(--common) compares them on the events that all share"
+            )
+        chosen = {i: event for i, event in chosen.items() if i not in apart}
+        changed = [
+            i
+            for i, e in chosen.items()
+            if (e.truth, e.judgments) != (theirs[i].truth, theirs[i].judgments)
+        ]
+        if changed:
+            notes.append(
+                f"truth or judgments of {len(changed)} events, such as {changed[0]!r}, are not the "
+                f"same in {first} and {name}; those in {first} count"
+            )
+    if not chosen:
+        raise InvalidEventError(f"there is no event that {', '.join(found)} share")
+    if rehearsed(chosen.values()):
+        notes.append(REHEARSAL)
+    largest = max(map(len, given.values()))
+    if len(chosen) < largest:
+        notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
+    return list(chosen.values()), notes
+
+
+def entries(
+    found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
+) -> list[Source]:
+    """Return the compared models with their answers about the events."""
+    ids = [event.id for event in events]
+    made = [
+        Source(
+            name,
+            "model",
+            {i: one.predictions[i] for i in ids if i in one.predictions},
+            {key: value for key, value in one.settings.items() if key != "events"},
+            {i: str(one.failures[i]) for i in ids if i in one.failures},
+            None if one.folder is None else str(one.folder.path),
+        )
+        for name, one in found.items()
+    ]
+    references = reference_predictions(events)
+    for name in chosen_references(stored, references):
+        made.append(Source(reference_label(name, found), "reference", references[name]))
+    return made
+
+
+def chosen_references(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
+    """Return the names of the chosen reference models."""
+    known = list(references)
+    if isinstance(stored, str):
+        stored = known if stored == ALL else [stored]
+    for name in stored:
+        check_name("stored model", name, known)
+    return list(dict.fromkeys(stored))

@@ -37,7 +37,7 @@ from phase_ppl.evaluation.answers_file import (
     read_answers,
     summed_up,
 )
-from phase_ppl.evaluation.evaluation import all_events
+from phase_ppl.evaluation.folder import all_events
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, reference_predictions
 from phase_ppl.evaluation.ratings import Given, Judgments, Rows

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeAl
 
 import phase_ppl
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.evaluation.evaluation import POSTERIOR
+from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation

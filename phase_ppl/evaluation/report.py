@@ -17,17 +17,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
-from phase_ppl.evaluation.cells import (
-    INTERVALS,
-    Table,
-    difference_tables,
-    equivalence_tables,
-    metric_tables,
-    number,
-)
+from phase_ppl.evaluation.cells import INTERVALS, Table, metric_tables, number
 from phase_ppl.evaluation.comparison import ModelComparison, Source, label_of
-from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
+from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.figures.frame import DRAWINGS
+from phase_ppl.evaluation.folder import COMPARISON
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import titles_of, true_answers, true_scenario
@@ -108,27 +102,26 @@ def page_of(
     ``more`` are titles, words and functions that draw figures of something else. ``settings`` are
     of a single evaluation, which is not compared.
     """
-    summary = list(metric_tables(results))
-    shown = {**(tables or {}), "Summary": summary}
-    told = [f"In brackets: {INTERVALS}." if summary else NOTHING_TO_COMPARE]
+    if settings is None:
+        found = results.tables
+    else:
+        found = {"Summary": list(metric_tables(results.metrics, results.people))}
+    told = [f"In brackets: {INTERVALS}." if found["Summary"] else NOTHING_TO_COMPARE]
     if settings is None:
         about = f"{', '.join(results.models)} on {len(results.events)} events."
         told = [about, *(f"{note}." for note in results.notes), *told]
-        shown["Differences"] = difference_tables(results)
-        shown["Equivalence with people"] = equivalence_tables(results)
         settings = {**results.settings, "models": {o.name: o.settings for o in results.entries}}
-    found: list[Drawn] = [
-        (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
-    ]
+    draws = [(o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()]
     drawn, left_out = [], []
-    for name, alt, draw in [*found, *more]:
+    for name, alt, draw in [*draws, *more]:
         try:
             drawn.append((name, _figure(draw(), alt)))
         except InvalidSettingError as reason:
             left_out.append(f"{name}: {reason}.")
     warning = f"{REHEARSAL[:1].upper()}{REHEARSAL[1:]}." if rehearsed(results.events) else ""
     content = {
-        **{"title": title, "warning": warning, "notes": [*notes, *told], "tables": shown},
+        **{"title": title, "warning": warning, "notes": [*notes, *told]},
+        "tables": {**(tables or {}), **found},
         **{"drawn": drawn, "left_out": left_out, "version": phase_ppl.__version__},
         "items": [
             _item(e, results.sources) for e in counted(results.events, progress, "event", "showing")

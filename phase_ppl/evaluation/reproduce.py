@@ -25,12 +25,13 @@ import pandas as pd
 from phase_ppl.data.generated import MANIFEST
 from phase_ppl.evaluation.bootstrap import Measure, proportion
 from phase_ppl.evaluation.cells import Table, lines_of, measure_text
-from phase_ppl.evaluation.comparison import ModelComparison, compare_models, label_of
+from phase_ppl.evaluation.comparison import ModelComparison, label_of
 from phase_ppl.evaluation.evaluate import evaluate
-from phase_ppl.evaluation.evaluation import Evaluation, all_events
+from phase_ppl.evaluation.evaluation import Evaluation, compare_models
 from phase_ppl.evaluation.experiments import Likeness, Tags, load_likeness, load_tags
 from phase_ppl.evaluation.figures import likeness as likeness_figure
 from phase_ppl.evaluation.figures import tags as tags_figure
+from phase_ppl.evaluation.folder import all_events
 from phase_ppl.evaluation.judgments import judged
 from phase_ppl.evaluation.metrics import at, human_accuracy
 from phase_ppl.evaluation.registry import model_info, not_installed

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phase_ppl.evaluation.differences import differences_of
+from phase_ppl.evaluation.comparison import differences_of
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
 from phase_ppl.world.event import Event, Observation, Truth

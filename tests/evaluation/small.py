@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.evaluation.evaluation import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
 from tests.analysis.factory import Simulation, hypothesis, make_tree

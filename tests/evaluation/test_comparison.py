@@ -15,9 +15,9 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.cells import WIDTH
-from phase_ppl.evaluation.differences import holm
-from phase_ppl.evaluation.evaluation import ResultsFolder
+from phase_ppl.evaluation.comparison import holm
 from phase_ppl.evaluation.figures.frame import DRAWINGS
+from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.files import write_json

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.evaluation import ResultsFolder
+from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.registry import Predict
 from phase_ppl.world.errors import (
     AnswerError,

@@ -19,7 +19,7 @@ from phase_ppl.evaluation.bootstrap import (
     resampled,
     weighted_mean,
 )
-from phase_ppl.evaluation.differences import _tested
+from phase_ppl.evaluation.comparison import _tested
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,

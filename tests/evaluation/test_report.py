@@ -12,7 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.evaluation import SETTINGS
+from phase_ppl.evaluation.folder import SETTINGS
 from phase_ppl.evaluation.report import answers_table
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 from phase_ppl.analysis.figures.style import GREY, NORMAL, in_style, warned, written
 from phase_ppl.evaluation.cells import KIND_WORDS
 from phase_ppl.evaluation.comparison import ModelComparison, Source
-from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.folder import COMPARISON
 from phase_ppl.evaluation.ratings import REHEARSAL, rehearsed
 from phase_ppl.evaluation.table import true_scenario
 from phase_ppl.world.errors import InvalidSettingError
