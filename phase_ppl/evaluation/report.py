@@ -111,7 +111,9 @@ def page_of(
         about = f"{', '.join(results.models)} on {len(results.events)} events."
         told = [about, *(f"{note}." for note in results.notes), *told]
         settings = {**results.settings, "models": {o.name: o.settings for o in results.entries}}
-    draws = [(o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()]
+    draws: list[Drawn] = [
+        (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
+    ]
     drawn, left_out = [], []
     for name, alt, draw in [*draws, *more]:
         try:
