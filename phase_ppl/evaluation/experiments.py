@@ -92,12 +92,6 @@ class Tags:
         categories = self.shares >= MAJORITY
         return pd.DataFrame({"percent": 100 * categories.mean(), "used": (self.shares > 0).sum()})
 
-    def __repr__(self) -> str:
-        return (
-            f"<Tags of {len(self.viewers)} videos, {self.table['participant'].nunique()} "
-            f"participants, {self.viewers.sum()} viewings>"
-        )
-
 
 def load_tags(path: str | os.PathLike[str]) -> Tags:
     """Read labels from a CSV file, in the format that the module describes.
@@ -207,9 +201,6 @@ class Likeness:
             "p": p,
             "equivalent": p is not None and p < 0.05,
         }
-
-    def __repr__(self) -> str:
-        return f"<Likeness of {' and '.join(self.groups)}, {len(self.table)} ratings>"
 
 
 def load_likeness(path: str | os.PathLike[str]) -> Likeness:
