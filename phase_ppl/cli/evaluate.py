@@ -85,8 +85,7 @@ def evaluate(options: Options) -> int:
     for label, model in models.items():
         named = f"{label}: " if labelled else ""
         out = options.out / label if labelled and options.out is not None else options.out
-        # the events are already those of the split
-        asked = {"events": events, "model": model, "out": out, "split": None, **of_models[label]}
+        asked = {"events": events, "model": model, "out": out, **of_models[label]}
         try:
             evaluation = found[label] = options.call(phase_ppl.evaluate, **asked)
         except phase_ppl.EvaluationInterrupted as stopped:

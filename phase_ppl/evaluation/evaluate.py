@@ -87,7 +87,6 @@ def evaluate(
     workers: int | None = None,
     executor: Executor | None = None,
     resume: bool = False,
-    split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
     judgments: str | os.PathLike[str] | Study | None = None,
@@ -128,7 +127,6 @@ def evaluate(
         resume: continue the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same. More events may
             follow them; truth and judgments may have changed.
-        split: only the events of that split of a generated data set, such as "test".
         limit: only the first ``limit`` events, in the order given.
         seed: a whole number >= 0.
         judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
@@ -154,7 +152,7 @@ def evaluate(
     """
     whole_number("seed", seed, minimum=0)
     slots = slots_of(workers, executor)
-    given = all_events(events, split)
+    given = all_events(events)
     world = world_of(given)
     chosen = judged(given, judgments)
     check_world(model, world)

@@ -293,8 +293,8 @@ def test_bad_settings_are_named_before_anything_is_written(tmp_path: Path) -> No
 def test_models_are_evaluated_on_a_split(
     whole: GeneratedEvents, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = ppl.evaluate(whole.path, "last_frame", split="test", workers=1, progress=False)
-    assert found.metrics["n_events"] == len(whole.split("test")) == 1
+    found = ppl.all_events(whole.path, "test")
+    assert len(found) == len(whole.split("test")) == 1
     arguments = ["evaluate", str(whole.path), "--model", "last_frame", "--split"]
     assert main([*arguments, "test", "--quiet"]) == 0
     assert "1 of 1 events" in capsys.readouterr().out
@@ -302,9 +302,9 @@ def test_models_are_evaluated_on_a_split(
     everything = ppl.evaluate(whole, "last_frame", workers=1, progress=False)
     assert everything.metrics["n_events"] == 5
     with pytest.raises(InvalidEventError, match="'dev'"):
-        ppl.evaluate(whole, "last_frame", split="dev", workers=1)
+        ppl.all_events(whole, "dev")
     with pytest.raises(InvalidEventError, match="only generated"):
-        ppl.evaluate(list(whole), "last_frame", split="test", workers=1)
+        ppl.all_events(list(whole), "test")
 
 
 @pytest.mark.usefixtures("anything_goes")
