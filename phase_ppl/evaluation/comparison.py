@@ -163,7 +163,7 @@ class ModelComparison(Printed):
         metrics are over the events that it predicts.
         """
         seed = self.settings["seed"]
-        found = metrics_of(self.events, self._predictions, seed=seed)
+        found = metrics_of(self.events, self._predictions, seed)
         for name, predictions in self._predictions.items():
             weights = resampled(len(predictions), seed)
             for unit in ("cpu_seconds", "seconds"):

@@ -398,7 +398,7 @@ def agreement(
     return found
 
 
-def moments(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
+def moments(answers: Answers, seed: int = 0) -> dict[str, Any] | None:
     """Return ``moments`` of the metrics, see the module."""
     if not answers.moments:
         return None
@@ -407,12 +407,12 @@ def moments(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str,
         rows = answers.rows[answers.rows["at"] == at]
         of = answers.about(set(rows["event"]))
         counts = {"at": at, "n_events": len(of.events), "n": round(float(rows["votes"].sum()))}
-        by_moment.append({**counts, **_until(of, [at], seed, resamples)})
-    return {**_until(answers, answers.moments, seed, resamples), "by_moment": by_moment}
+        by_moment.append({**counts, **_until(of, [at], seed)})
+    return {**_until(answers, answers.moments, seed), "by_moment": by_moment}
 
 
-def _until(answers: Answers, at: Sequence[float], seed: int, resamples: int) -> dict[str, Any]:
-    weights = resampled(len(answers.events), seed, resamples)
+def _until(answers: Answers, at: Sequence[float], seed: int) -> dict[str, Any]:
+    weights = resampled(len(answers.events), seed)
     measures = agreement(answers, weights, at)
     found: dict[str, Any] = {name: one.measure() for name, one in measures.items()}
     bins = {}

@@ -106,11 +106,7 @@ TOP: Final = 3
 
 
 def evaluate_predictions(
-    events: Sequence[Event],
-    predictions: Mapping[str, Prediction],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
+    events: Sequence[Event], predictions: Mapping[str, Prediction], *, seed: int = 0
 ) -> dict[str, Any]:
     """Return the metrics of a model's predictions, as the module describes them.
 
@@ -118,25 +114,20 @@ def evaluate_predictions(
         events: with their truth and judgments, where they have them.
         predictions: event id -> prediction. Events without one do not count; predictions of other
             events are not used.
-        seed: of the resamples, and of the halves of the raters. The same seed resamples the same
-            events for all models that predict them all.
-        resamples: number of resamples of the events.
+        seed: of the 1000 resamples of the events, and of the halves of the raters. The same seed
+            resamples the same events for all models that predict them all.
 
     Raises:
         InvalidEventError: two events have the same id, or judgments cannot be read.
         UnknownNameError: judgments name an unknown goal or relation.
         InvalidSettingError: a prediction is of another event than it is filed under, or
-            ``seed`` or ``resamples`` is out of range.
+            ``seed`` is out of range.
     """
-    return metrics_of(events, {"": predictions}, seed=seed, resamples=resamples)[""]
+    return metrics_of(events, {"": predictions}, seed)[""]
 
 
 def metrics_of(
-    events: Sequence[Event],
-    models: Mapping[str, Mapping[str, Prediction]],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
+    events: Sequence[Event], models: Mapping[str, Mapping[str, Prediction]], seed: int = 0
 ) -> dict[str, dict[str, Any]]:
     """Return model -> metrics, as :func:`evaluate_predictions`, from its predictions by event."""
     found: dict[str, dict[str, Any]] = {}
@@ -144,7 +135,7 @@ def metrics_of(
     for model, predictions in models.items():
         answers = Answers.of(predicted(events, predictions), predictions)
         ids = tuple(event.id for event in answers.events)
-        weights = resampled(len(ids), seed, resamples)
+        weights = resampled(len(ids), seed)
         if ids not in halves:
             halves[ids] = {
                 f"{prefix}split_half_r": split_half_of(answers, kind, weights, seed)
@@ -165,8 +156,8 @@ def metrics_of(
         count_scenarios(result, answers.events)
         result["calibration"] = {k: calibration(one) for k, one in scores.items()}
         result["verdict"] = {k: verdict(one) for k, one in scores.items()}
-        result["doubt"] = doubt(answers, seed, resamples)
-        result["moments"] = moments(answers, seed, resamples)
+        result["doubt"] = doubt(answers, seed)
+        result["moments"] = moments(answers, seed)
         if result["moments"] is not None:
             result["moments"]["hindsight"] = any(predictions[name].hindsight for name in ids)
     return found
