@@ -48,7 +48,7 @@ action explains. A share ``SURPRISING`` of the frames of the model's own videos 
 
 SURPRISING: Final = 0.1
 TOO_SURPRISING: Final = 0.5
-"""Share of such frames from which on the agents' actions are unlikely under all goals."""
+"""Share of such frames from which on the agents do not act as the model expects."""
 
 DISAGREE: Final = 0.15
 """Standard error of a leading probability from which on the sets of searches disagree."""
@@ -545,8 +545,8 @@ def _expected(found: Record) -> Check:
         says = "Nothing was kept that would tell whether the model expects such a video."
         return Check(name, "unknown", "not kept", f"{limit:.0%} or more", says)
     says = (
-        f"The agents act otherwise than the model expects: {share:.0%} of the frames surprise "
-        f"under every goal (the model's own videos: {SURPRISING:.0%})."
+        f"The agents act otherwise than the model expects: in {share:.0%} of the frames their "
+        f"actions surprise, given what was believed before (the model's own videos: {SURPRISING:.0%})."
     )
     state = "fail" if share > limit else "ok"
     value = f"in {1 - share:.0%} of the frames"

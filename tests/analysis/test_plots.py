@@ -161,7 +161,10 @@ def test_events_and_scenes_are_drawn() -> None:
 
 def test_posteriors_are_tables_and_figures_show_themselves(tmp_path: Path) -> None:
     post = StepwisePosterior(reading())
-    assert post._repr_html_().startswith("<pre")
+    shown, found = post._repr_html_(), post.diagnostics()
+    assert found["answer"] in shown
+    assert all(f"<strong>{one['name']}</strong>" in shown for one in found["checks"])
+    assert "<pre" in shown
     assert "simulated s" in str(post)
     for name in ("missing/a.png", "a.odd"):
         with pytest.raises(OutputError, match=name):

@@ -274,7 +274,7 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     assert "Bodies lie" in torn["verdict"]
     odd = diagnosed(log_peak=np.array([0.0, 60.0, 60.0, 60.0]))
     assert odd["surprising_share"] == 1.0
-    assert "100% of the frames surprise under every goal" in odd["verdict"]
+    assert "in 100% of the frames their actions surprise" in odd["verdict"]
     without = BY_PAIRS["log_likelihood_without"].copy()
     without[0, 1:, BLUE_NOT_TO_RED, BLUE_TO_RED] += 30.0
     split = diagnosed(log_likelihood_without=without)

@@ -45,7 +45,7 @@ def test_other_pickles_than_the_authors_are_refused_without_running_them(
 ) -> None:
     for content, why in (
         (Trap(os.mkdir, str(tmp_path / "sprung")), f"asks for '{os.mkdir.__module__}.mkdir'"),
-        ({"format": "phase-ppl-event-1"}, "missing required field 'trajectories'"),
+        ({"format": "phase-ppl-event-1"}, "videos: Expected 'array', got 'object'"),
         (["videos"], "videos[0]: Expected 'object', got 'str'"),
     ):
         for name in ("event.pkl", "event.json", "event"):
