@@ -545,8 +545,9 @@ def _expected(found: Record) -> Check:
         says = "Nothing was kept that would tell whether the model expects such a video."
         return Check(name, "unknown", "not kept", f"{limit:.0%} or more", says)
     says = (
-        f"The agents act otherwise than the model expects: in {share:.0%} of the frames their "
-        f"actions surprise, given what was believed before (the model's own videos: {SURPRISING:.0%})."
+        f"The agents act otherwise than the model expects: in {share:.0%} of the frames "
+        f"their actions surprise, given what was believed before (the model's own videos: "
+        f"{SURPRISING:.0%})."
     )
     state = "fail" if share > limit else "ok"
     value = f"in {1 - share:.0%} of the frames"
