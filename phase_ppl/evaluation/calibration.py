@@ -94,8 +94,8 @@ _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 
 
 _SUMMARY: Final = (
-    *("n", "rank", "p_even", "right", "low", "high", "sure", "log_score", "expected", "p_score"),
-    "verdict",
+    *("n", "rank", "p_even", "right", "low", "high"),
+    *("confidence", "log_score", "expected", "p_score", "verdict"),
 )
 
 
@@ -123,9 +123,9 @@ class Calibration(Printed):
 
         Columns: ``n`` videos; ``rank``, the mean place of the truth (even: 0.5), and ``p_even``, by
         Kolmogorov and Smirnov's test of even places. For goals and relations the share of ``right``
-        answers with its 95 % interval ``low`` to ``high``; their mean probability ``sure``; mean
-        ``log_score`` and what was ``expected``, nats; and ``p_score``, the probability of such a
-        difference by chance. For that, 10 000 sets of truths are drawn from the stated
+        answers with its 95 % interval ``low`` to ``high``; ``confidence``, their mean probability;
+        mean ``log_score`` and what was ``expected``, nats; and ``p_score``, the probability of such
+        a difference by chance. For that, 10 000 sets of truths are drawn from the stated
         probabilities; to judge scores that are too low, these are mixed with the lapse of log
         scores. Last ``verdict``, in words.
         """
@@ -228,7 +228,7 @@ class Calibration(Printed):
             predictions = self.evaluation.predictions
             said = [predictions[event].probabilities[name] for event in part["event"]]
             found["low"], found["high"] = clopper_pearson(float(right.sum()), n)
-            found |= {"right": right.mean(), "sure": top.mean()}
+            found |= {"right": right.mean(), "confidence": top.mean()}
             found |= {score: part[score].mean() for score in ("log_score", "expected")}
             found["p_score"] = _p_score(np.array(said), float(gain.sum()))
             if found["p_score"] < DOUBTFUL:
