@@ -62,9 +62,9 @@ class Posterior(EventPosterior):
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
         weights: "count" or "stratified" (``phase_ppl.analysis.weights`` says when each is valid);
             None: the run's default.
-        burn_in: first draws of each chain that do not count; None: the run's default, a quarter of
-            twenty iterations or more, else none. Weights "stratified" ignore it: they use all
-            simulations.
+        burn_in: number of first draws of each chain that do not count. None: the run's default, a
+            quarter if chains have twenty or more draws, else 0. Weights "stratified" ignore it:
+            they use all simulations.
 
     Raises:
         InvalidEventError: the tree lacks something; the message names it.
@@ -192,8 +192,8 @@ class Posterior(EventPosterior):
         Nothing is simulated again. All draws that NumPyro kept count; its warm-up does not.
 
         Args:
-            mcmc: after its ``run``, with all sites sampled.
-            program: what was sampled, where the kernel does not say.
+            mcmc: the ``MCMC`` after its ``run``, with all sites sampled.
+            program: the program that was sampled; needed if the kernel does not have it.
 
         Raises:
             InvalidSettingError: nothing was run yet, sites are missing, or the program is needed.
@@ -229,15 +229,16 @@ class Posterior(EventPosterior):
 
     @property
     def log_evidence(self) -> estimate.Estimate:
-        """Log p(video), nats, by the likelihood as it is, also if tempered.
+        """Log p(video) under the model's likelihood, nats.
 
-        The density is per unit^d a frame, d = 8 in PHASE: x and y of each body.
+        If the likelihood is tempered, so is this. The density is in units^-d for each frame, with d
+        = 8 in PHASE: x and y of each body.
 
-        The kernels ``importance`` and ``amis`` estimate it, with an error by the jackknife over
-        chains; and ``smc``, whose error is NaN: one population does not tell it, runs with other
-        seeds do. NaN: the kernel estimates none, the prior was changed since, or what was sampled
-        is what the closed loop had read, whose own ``log_evidence`` is the sum. The estimate's
-        ``why`` says which.
+        The kernels ``importance``, ``amis`` and ``smc`` estimate it. The first two have an error,
+        by the jackknife over chains. The error of ``smc`` is NaN: repeat the run with other seeds
+        to see it. The estimate is NaN if the kernel has none, if the prior was changed since, or if
+        a result of the closed loop was sampled: that result has its own ``log_evidence``. ``why``
+        of the estimate says which.
         """
         stats, why = self._tree["sample_stats"].dataset, ""
         if self._looked_up:
@@ -318,8 +319,9 @@ class Posterior(EventPosterior):
     def replay(self) -> FloatArray:
         """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
 
-        It is the simulation of :meth:`map` if a chain accepted it. Only trajectories of draws are
-        kept; otherwise it is that draw's with the highest log joint. Nothing is simulated again.
+        It is the simulation of :meth:`map` if a chain accepted it. Otherwise it is that of the draw
+        with the highest log joint, because only trajectories of draws are kept. Nothing is
+        simulated again.
         """
         if "trajectory" not in self._tree[trees.SIMULATED].dataset:
             return self.observed()  # the closed loop conditions on it, frame by frame
@@ -349,17 +351,20 @@ class Posterior(EventPosterior):
         return Diagnostics(self.event_id, found)
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals given the first frames, by frame, in hindsight (:data:`HINDSIGHT`).
+        """Return the marginals given the first frames, for every frame, in hindsight.
 
-        They use weights ``"stratified"``, not the weighting in use. If proposals have no known
-        density, they use ``"count"``, whose draws show little of the belief at early frames.
+        In hindsight: hypotheses were proposed from the whole video, and are weighted by how well
+        they explain it up to each frame. So this is not what an observer believed at the time.
         Nothing is simulated.
+
+        Weights are ``"stratified"``, whatever ``weights`` is in use. If proposals have no known
+        density, they are ``"count"``, whose draws show little of the belief at early frames.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
-            another world: probabilities (time, label), with the labels of ``goal_red`` in
-            ``goal_red_is`` and so on; ``time`` in seconds; attributes ``hindsight`` and
-            ``weights``, by which these are.
+            another world: probabilities (time, label). Labels of ``goal_red`` are in
+            ``goal_red_is``, and so on. ``time`` is in simulated seconds. Attributes: ``hindsight``,
+            a warning in words, and ``weights``, the weighting used.
         """
         weighting, rows, weights = so_far(self._counted)
         codes = self._words.completed(self._simulated(rows))
@@ -399,12 +404,13 @@ class Posterior(EventPosterior):
         Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
         with ``sample_stats``.
 
-        An indicator that does not change within any half of a chain has no R-hat; the attribute
-        ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
-        ArviZ's effective sizes do not depend on the draws: see :meth:`diagnostics`.
+        Each label of a goal or relation has an indicator, 0 or 1. An indicator that is constant
+        within every half of a chain has no R-hat and is left out. The posterior's attribute
+        ``left_out`` (JSON) names these. With fewer than ten draws per chain ArviZ's effective sizes
+        do not depend on the draws: see :meth:`diagnostics`.
 
         Raises:
-            InvalidSettingError: the draws have weights, and so are no chains.
+            InvalidSettingError: the draws have weights of their own, so they are not chains.
         """
         if trees.are_weighted(self._counted):
             raise InvalidSettingError(

@@ -255,38 +255,42 @@ def calibrate(
     progress: bool | None = None,
     **options: Any,
 ) -> Calibration:
-    """Draw hypotheses and videos from a model, infer each, and say whether it is as sure as right.
+    """Draw hypotheses and videos from a model, infer each, and test the posteriors' calibration.
 
-    The hypothesis comes from the model's prior. The video is a whole simulation; or drawn frame by
-    frame, by ``next_frames``, if the simulator has nothing else or the model's likelihood is a
-    :class:`phase_ppl.StepwiseLikelihood`. If a video cannot be an event, as a body leaves the
-    arena, or the simulator fails, hypothesis and video are drawn anew, which leaves the posterior
-    as it is. Positions get the noise of the model's own likelihood, where it has a method
-    ``replicate`` as :class:`phase_ppl.RadialLikelihood` does; the default one adds none.
+    The hypothesis comes from the model's prior, and the video from its simulator. The video is one
+    whole simulation. It is drawn frame by frame, by ``next_frames``, if the simulator has nothing
+    else or the model's likelihood is a :class:`phase_ppl.StepwiseLikelihood`. A likelihood with a
+    method ``replicate``, such as :class:`phase_ppl.RadialLikelihood`, adds its noise to positions.
+    With ``likelihood=None`` there is no noise.
 
-    To be calibrated, videos must be what the likelihood says. The joint simulator's are not quite:
-    the closed loop takes its agents to be less determined than they are, and its likelihood and
-    the default one of kernels are tempered. The result names tempering.
+    If a body leaves the arena or the simulator fails, hypothesis and video are drawn anew. This
+    does not change the posterior given a valid video.
+
+    A posterior can be calibrated only if videos are drawn from its likelihood. The joint
+    simulator's are not quite. The closed loop takes agents to be less determined than the
+    simulator's are. Its likelihood and the default one of kernels are tempered; the result says
+    so.
 
     Args:
         model: prior, simulator and likelihood.
-        n: number of videos.
+        n: number of videos. Default: 100.
         reader: what infers, as ``phase_ppl.evaluate`` takes it; by default the model itself.
-            Another one shows what a wrong assumption does.
-        frames: length of each video.
-        scenes: a world or its name, for random scenes; or scenes, taken in turn.
+            Another model shows the effect of a wrong assumption.
+        frames: length of each video, in frames. Default: 31.
+        scenes: a world or its name, for random scenes; or scenes, taken in turn. Default: PHASE.
         out: folder to keep everything in, as :func:`phase_ppl.evaluate` does, and the table; by
             default nothing is kept.
-        resume: continue in ``out``, if there is something, perhaps with a larger ``n``. Videos are
-            drawn again, which is quick beside reading them.
-        workers, executor, progress: as of :func:`phase_ppl.evaluate`.
-        seed: the same seed gives the same videos and answers.
-        **options: for :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
+        resume: whether to continue in ``out``, if it holds a calibration; ``n`` may be larger.
+            Videos are drawn again, which takes little time.
+        workers, executor, progress: as in :func:`phase_ppl.evaluate`.
+        seed: a whole number >= 0. The same seed gives the same videos and answers.
+        **options: options of :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
 
     Raises:
-        SimulationError: the simulator fails or draws no videos, or no video can be an event; the
-            message says why.
-        InvalidSettingError: ``model`` is none, a number is out of range, or there are no scenes.
+        SimulationError: the simulator fails, draws no videos or draws none that can be an event;
+            the message says why.
+        InvalidSettingError: ``model`` is not a ``phase_ppl.Model``, a number is out of range, or
+            there are no scenes.
 
     Further errors are those of :func:`phase_ppl.evaluate`.
     """

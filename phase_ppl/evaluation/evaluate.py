@@ -96,56 +96,62 @@ def evaluate(
 ) -> Evaluation:
     """Ask a model of social perception about many events, and score its answers.
 
-    The model gets each event's scene and observation and a seed, nothing else. Longest events
-    come first. If the model fails at an event, ``failures`` reports it and the rest goes on.
-    A bad setting of a named model is raised at once. If a worker process dies, its event is tried
-    once more.
+    The model gets each event's scene and observation and a seed, nothing else. The longest events
+    come first. If the model fails at an event, ``failures`` reports it, and the other events
+    follow. A bad setting of a named model is raised at once. If a worker process dies, its event is
+    tried once more.
 
-    Where people judged at moments of a film, a posterior is read at the frame of each moment. A
-    model without a posterior is asked about the film cut at that frame.
+    If people judged at moments of a film, a posterior is read at the frame of each moment. A model
+    without a posterior is asked about the film cut at that frame.
 
     The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
     results do not depend on the number of workers, nor on order and choice of events.
 
     Args:
         events: an event file, a folder of event files or of a generated data set, the name of a
-            bundled event, or events; all of one world.
-        model: a name (:func:`phase_ppl.available_models`), by default the closed loop; a
-            :class:`phase_ppl.Model`; or a function ``(scene, observation, seed)``. A ``Model`` is
-            run by :func:`phase_ppl.infer`, by the closed loop or with the option ``kernel``. A
-            function returns a :class:`phase_ppl.Prediction`, a posterior or a mapping such as
-            ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In other
-            worlds than PHASE the questions are ``goal_<agent>`` and ``relation_<one>_<other>``,
-            and the named models are "stepwise", "predicate", "last_frame" and those of ``infer``.
-        out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
-            by default nothing is kept.
-        workers: most processes; by default one per usable core. 1 runs the model in this
-            process, as do models that cannot run in parallel. With an ``executor``, how many
-            events to give it at a time; by default up to 1000.
-        executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
-            client; it is not shut down. Models that cannot run in parallel stay here.
-        resume: continue the evaluation in ``out``, if there is one. Finished events are not
-            predicted again, failed ones are. Settings and events must be the same. More events may
-            follow them; truth and judgments may have changed.
-        limit: only the first ``limit`` events, in the order given.
+            bundled event, or events. All must be of one world.
+        model: one of three. The default is the closed loop.
+
+            * A name (:func:`phase_ppl.available_models`). Of the package's own models, these also
+              work in other worlds than PHASE: "stepwise", "simple", "predicate", "last_frame",
+              "no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight" and
+              "no_social_goals".
+            * A :class:`phase_ppl.Model`. :func:`phase_ppl.infer` runs it with the closed loop, or
+              with the kernel that ``kernel=...`` names.
+            * A function ``(scene, observation, seed)``. It returns a :class:`phase_ppl.Prediction`,
+              a posterior or a mapping such as
+              ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In other
+              worlds than PHASE the keys are ``goal_<agent>`` and ``relation_<one>_<other>``.
+        out: folder to keep all results in (:mod:`phase_ppl.evaluation.folder`), event by event; by
+            default nothing is kept.
+        workers: largest number of processes; by default one per usable core. With 1 the model runs
+            in this process; so do models that cannot run in parallel. With an ``executor``: how
+            many events to give it at a time; by default up to 1000.
+        executor: any PEP 3148 executor to run the model in, such as that of a ``dask.distributed``
+            client. It is not shut down. Models that cannot run in parallel do not use it.
+        resume: whether to continue the evaluation in ``out``, if there is one. Finished events are
+            not predicted again, failed ones are. Settings and events must be the same. Further
+            events may be added; truth and judgments may have changed.
+        limit: only the first ``limit`` events, in the order given; by default all.
         seed: a whole number >= 0.
-        judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
-            place of those in the events.
-        progress: show a bar on stderr; by default if stderr is a terminal.
-        observer: observer through whom the model is seen: "people", the package's own; the file
-            of a fitted observer; a result of :func:`phase_ppl.fit_people`; or any other
-            :class:`phase_ppl.Onlooker`. By default none.
-        **options: of a model given by name.
+        judgments: people's judgments, in place of those in the events: a file
+            (:func:`phase_ppl.load_judgments`) or a study.
+        progress: whether to show a bar on stderr; by default if stderr is a terminal.
+        observer: turns the model's answers into those of a person who watches. "people", the
+            package's own; the file of a fitted observer; a result of :func:`phase_ppl.fit_people`;
+            or any other :class:`phase_ppl.Onlooker`. By default none.
+        **options: options of a named model; for a ``Model``, those of :func:`phase_ppl.infer`. A
+            function takes none.
 
     Raises:
-        InvalidEventError: the events, their judgments or predictions cannot be read, two have
-            the same id, or the results in ``out`` are damaged.
-        InvalidSettingError, UnknownNameError: a setting that cannot be used; a model that knows
-            PHASE only, or events of several worlds; or ``out`` holds an evaluation with other
-            settings, the message says which.
+        InvalidEventError: the events, their judgments or predictions cannot be read; two have the
+            same id; or the results in ``out`` are damaged.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used; events of several
+            worlds, or of a world that the model does not know; or ``out`` holds an evaluation with
+            other settings, which the message names.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         SimulationError: the executor takes no more work.
-        AnswerError: the model failed at every event; the message names the first.
+        AnswerError: the model failed at every event; the message has the first failure.
         EvaluationInterrupted: Ctrl-C.
 
     The last three carry the finished events as ``evaluation``.

@@ -133,35 +133,37 @@ def load_judgments(
 ) -> Study:
     """Read a study from a table or from raters' files, in the formats that the module describes.
 
-    Tables are read as pandas, R, Excel, jsPsych and Qualtrics write them: with cells separated by
-    commas, semicolons or tabs, a column of row numbers, empty columns, and the usual texts for
-    missing values. Columns of other names are kept. Rows without an answer or a video are left out.
+    Tables may come from pandas, R, Excel, jsPsych or Qualtrics. Cells are separated by commas,
+    semicolons or tabs. A column of row numbers, empty columns and the usual texts for missing
+    values are allowed. Other columns are kept. Rows without an answer or a video are left out.
 
     Args:
-        path: of the file, or a :class:`pandas.DataFrame`; or the folder of raters' files of the
-            public study, or one of them. The options below are for tables.
-        events: events that may be judged, or their file or folder, of one world; it decides the
-            questions. A row about another video is an error; a rater's answer about one is left
-            out. Default: any events of PHASE.
+        path: a table's file or a :class:`pandas.DataFrame`; or a rater's file of the public study,
+            or the folder of them. The options after ``events`` are for tables.
+        events: the events that were judged, or their file or folder, all of one world. Their world
+            decides the questions. In a table, a video that is not among them is an error; in
+            raters' files it is left out. Default: any events of PHASE.
         names: your name -> the name here, of columns, questions, answers and videos; None leaves
             a column out.
         na: further texts for missing values, such as "-99".
-        repeated: which answer counts where a person answered the same twice: "first" or "last";
-            by default such a file is refused, with all of them named.
-        milliseconds: whether ``response_time`` and ``at`` are in milliseconds; by default from
-            their median.
+        repeated: which answer counts if a person answered the same twice: "first" or "last". By
+            default, "refuse", such a file is an error that names all of them.
+        milliseconds: whether ``response_time`` and ``at`` are in milliseconds. By default each is
+            judged by its median.
         graded: how ratings become shares: "divide" by their sum, or "softmax", exp(rating /
             temperature) divided by its sum.
-        temperature: of the softmax, in units of the ratings. By default it is fitted: ratings then
-            best predict other people's leading answers.
+        temperature: temperature of the softmax, in units of the ratings. By default it is fitted,
+            so that ratings best predict other people's leading answers.
 
     Raises:
-        InvalidEventError: there is no such file, or it is no such table: columns are missing, a
-            row has too many or too few cells, no participant, a time or rating that is no number,
-            or a participant judges a video twice; or nothing is answered.
-        InvalidSettingError: ``temperature`` is not positive, or nothing can be fitted to.
+        InvalidEventError: there is no such file, or it is not such a table. Columns are missing, a
+            row has too many or too few cells, or no participant; a time or rating is no number; a
+            participant judges a video twice; or nothing is answered.
+        InvalidSettingError: ``temperature`` is not positive, or there are no answers to fit it to.
         UnknownNameError: a column, goal, relation, video or option is unknown; the message names
-            close matches. Messages begin with the file, and the line where it is one.
+            close matches.
+
+    Messages begin with the file, and with the line number if one line is at fault.
     """
     judged = None if events is None else all_events(events)
     videos = None if judged is None else [event.id for event in judged]

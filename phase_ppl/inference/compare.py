@@ -227,41 +227,43 @@ def compare(
 ) -> Comparison:
     """Return a comparison of kernels on one event under the same budget.
 
-    Repeat r of every kernel runs with the same seed, so two comparisons of equal settings share
+    Repeat r of every kernel runs with the same seed. So two comparisons of equal settings share
     their first repeats. If one kernel cannot run, the call fails before the first simulation.
 
     Args:
-        event: event to explain. Its truth, if known, is used to judge the results. Also a result
-            of the closed loop, ``compare(infer(event), kernels=[...])``: kernels then sample its
-            table. The table's exact posterior is known, and ten thousand draws take seconds. A
-            model with a ``StepwiseLikelihood`` does the same: the video is read once, for all
-            kernels and repeats.
+        event: event to explain. Its truth, if known, is used to score the results. Also a result of
+            the closed loop, as in ``compare(infer(event), kernels=[...])``. Kernels then sample its
+            table of likelihoods. That table's posterior is known exactly, and ten thousand draws
+            take seconds. A model with a ``StepwiseLikelihood`` has the same effect: the video is
+            read once, for all kernels and repeats.
         model: prior, simulator and likelihood; by default the paper's.
-        kernels: names, or label -> name. A name may also be ``(name, options)``, a kernel class,
-            a function that makes a kernel, or a preset of SIMPLE such as "as_printed". A preset
-            keeps its planner and length. Options are the kernel's own, ``chains`` and
-            ``settings``, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``. Kernels with
-            bottom-up proposals share the same ones, unless their options differ; the table shows
-            which.
-        budget: of every single run; ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``,
-            the initial ones included, or ``phase_ppl.seconds(t)``, compiling included. A run ends
-            with the iteration that spends it; costs that kernels declare do not count.
-        repeats: runs of every kernel.
-        chains: particles M.
+        kernels: kernels to compare, or label -> kernel. Each is a name, a kernel class, a function
+            that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of that and
+            its options, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``. Options are the
+            kernel's own, ``chains`` and ``settings``. A preset keeps its planner and length. All
+            kernels with bottom-up proposals use those of ``settings``, unless their options differ.
+            The column ``proposals`` of the printed table names them.
+        budget: limit for each run: ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``, the
+            initial ones included; or ``phase_ppl.seconds(t)``, compiling included. The last
+            iteration may exceed it. Default: 500 simulations.
+        repeats: number of runs of every kernel. Default: 8.
+        chains: number of particles, M in the paper. Default: 15.
         seed: a whole number >= 0.
-        reference: what the results are compared with. A posterior of the same event and model;
-            "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), or with more than 4
-            simulations per pair of goals ``("enumeration", {"per_pair": 16})``; or "none". The
-            default is enumeration if ten times the budget suffices, else none. The distance between
-            the reference's halves is printed; kernels are not ranked within it.
-        settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
-            If proposals need a reading of the video, its time counts, also if it was read before.
-        workers: processes; by default one per usable core. With an ``executor``, how many
+        reference: posterior that results are compared with. One of the same event and model;
+            "enumeration" (:mod:`phase_ppl.inference.reference`), with 4 simulations per pair of
+            goals, or as many as ``("enumeration", {"per_pair": 16})`` says; or "none". The default
+            is enumeration if ten times the budget suffices, else none. The printed result has the
+            distance between two halves of the reference. Smaller differences between kernels are
+            not ranked.
+        settings: settings of SIMPLE; by default those of the preset "simple", as in
+            :func:`phase_ppl.infer`. If proposals need a reading of the video, each run is charged
+            its time, even if the video was read before.
+        workers: number of processes; by default one per usable core. With an ``executor``: how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
-        progress: show a bar on stderr; by default if stderr is a terminal.
+        progress: whether to show a bar on stderr; by default if stderr is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, its runs are not
-            repeated, and kernels and repeats may be added. The file is itself a comparison.
+            repeated; kernels and repeats may be added. ``Comparison.load`` reads it.
 
     Raises:
         InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a

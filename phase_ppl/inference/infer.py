@@ -78,67 +78,69 @@ def infer(
 ) -> Posterior | StepwisePosterior:
     """Return the posterior over goals, relation and strengths, given the video.
 
-    Without a kernel, the closed loop reads the video once under all hypotheses. It explains every
-    frame given the frames before it. The result is a :class:`phase_ppl.StepwisePosterior`, with
+    Without a kernel, the closed loop reads the video once under all hypotheses. It predicts every
+    frame from the frames before it. The result is a :class:`phase_ppl.StepwisePosterior`. It has
     the posterior at every moment of the video.
 
-    With a kernel, hypotheses are sampled, and the result is a :class:`phase_ppl.Posterior`.
-    ``kernel="local_mh"`` is SIMPLE, the paper's inference: it simulates each hypothesis and
-    compares the simulation with the whole video. A kernel can also sample from a result of the
-    closed loop, ``infer(infer(event), kernel="smc")``. Nothing is then simulated or read again, and
-    the exact answer is known, so this tests the kernel.
+    With a kernel, hypotheses are sampled. The result is a :class:`phase_ppl.Posterior`.
+    ``kernel="local_mh"`` is SIMPLE, the paper's inference. It simulates each hypothesis and
+    compares the simulation with the whole video.
 
-    In a run of fewer than 20 iterations, all simulations are weighed. Untried rivals of the leading
-    goals are simulated first: those in which one agent wants the same thing at another landmark.
-    This takes one simulation or a few more per particle. It is left out if there is a ``budget`` or
-    all rivals were tried. Rivals count in the posterior, not in the chains.
+    A kernel can also sample from a result of the closed loop, as in
+    ``infer(infer(event), kernel="smc")``. This tests the kernel: nothing is simulated, and the
+    exact answer is known.
+
+    A run of fewer than 20 iterations weighs all simulations, accepted or not. At its end, untried
+    rivals of the leading goals are simulated too. In a rival, one agent wants the same thing at
+    another landmark. This takes one simulation or a few more per particle. It is left out if there
+    is a ``budget``. Rivals count in the posterior, not in the chains.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
     depend on ``seed``, not on the number of workers.
 
     The treatment of failed simulations (``on_failure``) is part of the model:
 
-    * "reject": the likelihood is zero. Hypotheses under which the simulator often fails lose
-      that share of their probability.
-    * "retry": the simulation is repeated with a fresh seed derived from its own, up to three times,
-      then rejected. The likelihood is that of successful runs, so failing costs a hypothesis next
-      to nothing.
-    * "raise": the run ends with the error and keeps what was done. A run that ends without it had
-      no failures.
+    * "reject": the likelihood is zero. A hypothesis loses the share of its probability with which
+      its simulations fail.
+    * "retry": the simulation is repeated with other seeds, up to three times, then rejected. The
+      likelihood is that of successful runs, so failures hardly cost a hypothesis anything.
+    * "raise": the run ends with the error, which carries the results so far.
 
     Args:
-        event: event to explain, or the name of a file or of a bundled event; with a kernel, also a
+        event: event to explain, or the name of a file or of a bundled event. With a kernel, also a
             result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
-        kernel: None: the closed loop. To sample: a name (:func:`phase_ppl.available_kernels`), a
-            kernel class, or a function from the program of the event to a NumPyro kernel.
-        chains: number of particles, M in the paper; each is a chain.
-        iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
-            loop.
+        kernel: how to sample. A name (:func:`phase_ppl.available_kernels`), a kernel class, or a
+            function that takes the event's program and returns a NumPyro kernel. Default: None,
+            the closed loop.
+        chains: number of particles, M in the paper; each is a chain. Default: 15.
+        iterations: draws per particle, L in the paper. Default: 6, or 1000 on a result of the
+            closed loop.
         seed: a whole number >= 0.
-        planner: of the package's own simulator: "fast" (the default), "paper" or a
+        planner: planner of the package's own simulator: "fast" (the default), "paper" or a
             ``PlannerConfig``.
-        workers: processes, or threads of the closed loop; by default one per usable core. With an
-            ``executor``, how many simulations to give it at a time; by default all.
+        workers: number of processes, or of the closed loop's threads; by default one per usable
+            core. With an ``executor``: how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
-            client; it is not shut down.
-        budget: instead of ``iterations``. ``phase_ppl.simulations(n)``: iterations begin until n
-            simulations were run, the initial ones included; the last iteration may exceed n.
-            ``phase_ppl.frames(n)``: the same for simulated frames; simulations stopped early take
-            fewer. Both also end after 100 iterations in a row without a simulation.
-            ``phase_ppl.seconds(n)``: as many iterations as are expected to end within n seconds by
-            the clock, possibly none after the initial particles.
+            client. It is not shut down.
+        budget: limit on the cost, in place of ``iterations``. ``phase_ppl.simulations(n)``: new
+            iterations begin until n simulations were run, the initial ones included.
+            ``phase_ppl.frames(n)``: the same for simulated frames. Both may be exceeded by the last
+            iteration, and both end after 100 iterations in a row without a simulation.
+            ``phase_ppl.seconds(n)``: an iteration begins only if it is expected to end within n
+            seconds of wall time. The initial particles come first in any case.
         on_failure: "reject", "raise" or "retry", see above.
-        simulation_seconds: longest time of a simulation before it fails; by default unlimited. With
-            a budget of seconds no initial simulation may take longer than the budget.
+        simulation_seconds: seconds after which a simulation fails; by default never. With a budget
+            of seconds, no initial simulation may take longer than the budget.
         checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial
             particles and after every iteration. It must not exist yet.
-        progress: show a bar on stderr; by default if stderr is a terminal.
-        settings: of SIMPLE; by default those of the preset "simple".
-        weights: of the posterior, see ``phase_ppl.analysis.weights``; by default those that are
-            valid for the kernel and the length. A quarter of each chain of twenty iterations or
-            more does not count, but is kept: ``Posterior(post.tree, burn_in=0)`` counts it.
-        **kernel_options: for the kernel, such as ``rule="paper"``.
+        progress: whether to show a bar on stderr; by default if stderr is a terminal.
+        settings: settings of SIMPLE; by default those of the preset "simple".
+        weights: weighting of the draws, "count" or "stratified" (``phase_ppl.analysis.weights``);
+            by default the one that is valid for the kernel and the length. In chains of twenty or
+            more draws the first quarter is burn-in: it is kept and does not count.
+            ``Posterior(post.tree, burn_in=0)`` counts it.
+        **kernel_options: options of the kernel, such as ``rule="paper"``.
 
     Raises:
         InvalidSettingError, UnknownNameError: a setting that cannot be used.
@@ -147,9 +149,8 @@ def infer(
         SimulationError: all initial simulations failed; or one failed, with "raise".
         Interrupted, StepwiseInterrupted: Ctrl-C.
 
-    SimulationError, Interrupted, StepwiseInterrupted and any other error that ends a run carry the
-    results so far as ``posterior``.
-    It is None if the initial particles were not complete.
+    Any error that ends a run has the results so far as its attribute ``posterior``. That is None
+    if the initial particles were not complete.
     """
     options: dict[str, Any] = {
         "iterations": iterations,

@@ -40,36 +40,39 @@ FEWEST: Final = 20
 class StepwiseLikelihood:
     """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
 
-    An agent acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with
-    the visits of the root actions in the planner's search, as a mean over ``planner_seeds``
-    independent sets of beliefs and searches.
+    An agent acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|. Visits are those of the
+    root actions in the planner's search; |A| is the number of actions. The mean of pi over
+    ``planner_seeds`` independent sets of beliefs and searches counts.
 
-    The posterior is tempered: where real agents plan otherwise than the model, they do so for many
-    frames on end, which are no independent evidence, so that a frame counts ``weight``. Strengths
-    are tempered likewise, see ``tracking``. ``lapse`` and ``weight`` have the highest log score of
-    goals and relation after the whole video on 26 of the 50 real videos, and were looked at on 21
-    others, where they come within 0.01 nats of the best (``benchmarks/stepwise.py fit``): figures
-    on those videos are in-sample. What is computed is approximate in the planner's searches and in
-    the filter of the hidden state.
+    The posterior is tempered: each frame counts ``weight``. The reason is that real agents can plan
+    otherwise than the model for many frames on end, so frames are not independent evidence.
+    Strengths are tempered likewise, see ``tracking``. The result is approximate in the planner's
+    searches and in the filter of the hidden state.
 
-    A simulator of one's own (:class:`phase_ppl.simulator.contract.Simulator`) is read by its own
-    density of the next frame, if it has one: then the posterior is exact. Otherwise by a kernel
-    density of so many ``samples`` of the positions of all entities
-    (:mod:`phase_ppl.closed_loop.kernel_density`), which is biased where kernels are wide or few are
-    near what was seen, and less the more samples. Planner and hidden state have no part in it: of
-    ``tracking`` there are ``strengths``, ``scale``, which kernels have as standard deviation at
-    least, and ``noise``, which adds to it, 0 if it is None.
+    ``lapse`` and ``weight`` have the highest log score of goals and relation, after the whole
+    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 others they were
+    looked at, and come within 0.01 nats of the best. So figures on these videos are in-sample.
+
+    A simulator of your own (:class:`phase_ppl.simulator.contract.Simulator`) may have a density of
+    the next frame, ``log_prob_next``. Then the posterior is exact. Otherwise the density is a
+    kernel density of the positions of all entities in ``samples`` next frames
+    (:mod:`phase_ppl.closed_loop.kernel_density`). It is biased if kernels are wide or few samples
+    are near the observation; more samples reduce this. Planner and hidden state are then not used.
+    Of ``tracking`` only three settings count: ``strengths``; ``scale``, the least standard
+    deviation of a kernel; and ``noise``, which is added to it (None: 0).
 
     Attributes:
         sharpness: exponent of the visits, the inverse temperature of a policy.
-        lapse: probability, by frame, that an agent does anything whatever.
-        weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
-            simulator of one's own.
-        planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
-            with errors unknown. All sets search for the combinations of goals that together have
-            0.99 of the mass, or for all where there are more than 50 000 hypotheses.
+        lapse: probability, in each frame, of a random action.
+        weight: exponent of each frame's density; 1: the posterior is not tempered. None: 0.2, or 1
+            with a simulator of your own.
+        planner_seeds: number of sets of searches. Errors come from their spread; with 1, the
+            fastest, they are unknown. The first set searches for all goals. The others search only
+            for the most probable combinations of goals, which have 0.99 of the posterior so far.
+            With more than 50 000 hypotheses all sets search for all goals.
         tracking: how hidden velocities, holds and strengths are followed.
-        samples: next frames of a simulator of one's own, for each hypothesis and frame.
+        samples: number of sampled next frames, per hypothesis and frame, of a simulator of your
+            own.
 
     Raises:
         InvalidSettingError: a value that cannot be used.

@@ -208,23 +208,24 @@ def simulate(
 
     Example:
         ``ppl.simulate(ppl.Scene(start, radius), ppl.Hypothesis("Get blue item to red lm",
-        "get to red agent"))``, and :func:`phase_ppl.explain` says why the agents act as they do. In
-        any world ``ppl.simulate(scene, goals={"red agent": "ball to home"},
+        "get to red agent"))``; :func:`phase_ppl.explain` then says why the agents act as they do.
+        In any world: ``ppl.simulate(scene, goals={"red agent": "ball to home"},
         relation={("purple agent", "red agent"): "hinder"})``.
 
     Args:
         scene: the start.
-        hypothesis: goals, alphas and strengths in PHASE. In any world, instead of it:
-        goals: name of an agent -> its own goal, for all that neither help nor hinder.
+        hypothesis: goals, alphas and strengths, in PHASE. In any world ``goals``, ``relation`` and
+            ``strength`` can take its place.
+        goals: name of an agent -> its own goal, for every agent that neither helps nor hinders.
         relation: (who, whom) -> "help" or "hinder" with the other's own goal.
-        strength: maximum force by name, or one for all, newtons.
-        frames: length of the trajectory, 12 per simulated second; frame 0 is the start.
-        seed: the same seed gives the same event.
+        strength: maximum force by agent's name, or one for all, newtons. Default: 450.
+        frames: number of frames, 12 per simulated second; frame 0 is the start. Default: 101.
+        seed: a whole number >= 0. The same seed gives the same event.
         planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
-        simulator: another simulator than the joint one. The event has no ``thoughts`` if it is no
-            ``JointSimulator``.
+        simulator: a simulator in place of the joint one. Unless it is a ``JointSimulator``, the
+            event has no ``thoughts``.
         id: name of the event.
-        overlapping: whether bodies may overlap at the start, as in some real videos; they then fly
+        overlapping: whether bodies may overlap at the start, as in some real videos. They then fly
             apart.
 
     Raises:

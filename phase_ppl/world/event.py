@@ -182,30 +182,34 @@ class Observation:
         ahead: tuple[str, str] | None = None,
         least_sure: float = 0.6,
     ) -> Observation:
-        """Return the observation for tracks of another program; ``.said`` is what was done.
+        """Return the observation for tracks of another program; ``.said`` says what was done.
 
-        Points of one body, such as the parts that a pose tracker marks, count as their middle.
+        If a body has several points, such as the parts that a pose tracker marks, their mean
+        counts.
 
         Args:
             tracks: a pandas table, or an array (time, entity, [x, y] or [x, y, angle]) in the
-                world's order. A table is long, with columns track (or id), frame or time, x, y and
-                perhaps angle; or wide, with x and y of each track, such as ``red_x`` or ``x1``, or
-                with levels of columns. Names as of TrackMate, idtracker.ai, DeepLabCut and SLEAP
-                are known. Angles are radians, counter-clockwise as one sees it, 0 looks up.
-            world: the world, whose entities must have a track each.
+                world's order of entities. A long table has columns track (or id), frame or time, x,
+                y and perhaps angle. A wide table has x and y of each track, such as ``red_x`` or
+                ``x1``, or columns with levels. Column names of TrackMate, idtracker.ai, DeepLabCut
+                and SLEAP are known. Angles are radians, counter-clockwise on the screen; 0 looks
+                up.
+            world: the world; each of its entities must have a track.
             names: name of a track -> entity; by default tracks have the names of entities.
             fps: frames per second of simulated time; not needed if there are times.
-            units: units of length of the world per length of the tracks, such as a pixel.
+            units: world units per unit of the tracks, such as per pixel.
             y_down: whether y grows downwards, as in pictures.
-            origin: (x, y) of the tracks' origin in the world; by default (0, 0), or the arena's
-                upper left corner if y grows downwards.
-            gap: seconds; gaps up to so long are put on straight lines, 0: none. Others stay.
-            angles: of agents without any: "unseen", or "heading", the way they go. Agents of these
-                worlds can go any way without turning: headings are often angles that no agent
-                could have had. With "unseen" the first frame still has the heading: inference does
-                not use it.
-            ahead: two parts of a body, the second ahead of the first, which tell its angle.
-            least_sure: points of which the program is less sure were not seen.
+            origin: (x, y) of the tracks' origin in the world, units; by default (0, 0), or the
+                arena's upper left corner if y grows downwards.
+            gap: gaps of up to this many seconds are filled linearly; 0 fills none. Longer gaps
+                stay. Default: 0.25.
+            angles: angles of agents whose tracks have none: "unseen", or "heading", the direction
+                of motion. Agents can move in any direction without turning, so a heading is often
+                an angle that no agent could have. With "unseen" only the first frame has the
+                heading; inference does not use it.
+            ahead: two parts of a body. Their line, from the first to the second, gives the angle.
+            least_sure: points below this confidence count as not seen. It is the other program's
+                own confidence, in a column "likelihood", "score" or "confidence". Default: 0.6.
 
         Raises:
             InvalidEventError: the table lacks something, or as for the class.

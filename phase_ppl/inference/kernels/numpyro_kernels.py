@@ -64,9 +64,9 @@ class SamplerState(NamedTuple):
 
 
 class NumpyroKernel(EventKernel):
-    """Base of kernels that run a sampler of NumPyro on the model as a function of real numbers.
+    """Base of kernels that run a NumPyro sampler on the model's log density over a real vector.
 
-    A subclass says which sampler, in :meth:`sampler`. All particles are simulated together.
+    A subclass makes the sampler, in :meth:`sampler`. All particles are simulated together.
 
     Raises:
         InvalidSettingError: a site of the prior has no inverse distribution function; when started:
@@ -87,7 +87,10 @@ class NumpyroKernel(EventKernel):
 
     @property
     def dimensions(self) -> int:
-        """Length of a point: a number per site, and one for the seed unless noise is fixed."""
+        """Length of a point: a number per site, and one for the simulator's noise.
+
+        With ``Model(noise="fixed")`` the last one is left out.
+        """
         return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
