@@ -222,18 +222,20 @@ class EventPosterior(Hypotheses):
 
         Args:
             event: conditions in words, such as ``"goal_red=get to green agent"`` or
-                ``"strength_red > strength_green, not relation=friendly"``.
+                ``"strength_red > strength_green, not relation=friendly"``
+                (:mod:`phase_ppl.analysis.query`).
             over: conditions to compare with; by default that ``event`` is false.
 
         Returns:
-            ``log_odds`` (time,) of one over the other given the frames so far, nats, tempered as
-            the attribute ``tempering`` says; its ``error`` (time,) by the jackknife over planner
-            seeds (NaN: unknown); and ``change`` (time,) by each frame. A sampled posterior's are in
-            hindsight, as in :meth:`over_time`.
+            Three variables (time,), in nats. ``log_odds``: log odds of one over the other given the
+            frames so far. ``error``: their error, by the jackknife over sets of searches; NaN:
+            unknown. ``change``: the change of ``log_odds`` by each frame. The attribute
+            ``tempering`` says how they are tempered. Those of a sampled posterior are in hindsight,
+            as in :meth:`over_time`.
 
         Raises:
-            QueryError, UnknownNameError: it cannot be read, or names something unknown.
-            InvalidSettingError: one of them is impossible, or nothing of it was simulated.
+            QueryError, UnknownNameError: the conditions cannot be read, or name something unknown.
+            InvalidSettingError: ``event`` or ``over`` is impossible, or was never simulated.
         """
         raise NotImplementedError
 
@@ -441,31 +443,37 @@ class EventPosterior(Hypotheses):
         """Return simulations of a counterfactual change, beside simulations without it.
 
         Hypotheses are drawn from the posterior. Each is simulated twice with the same seed: as it
-        is, and with the change, if there is one. The printed result says how often and when each
-        agent reaches its goal in either world, and whether that differs by more than chance (sign
-        test of the pairs); see :class:`phase_ppl.analysis.what_if.WhatIf`.
+        is, and with the change. Without a change, each is simulated once.
 
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
-            relation: the same in any world, (who, whom) -> "help" or "hinder"; pairs left out do
-                neither. An agent that no longer helps or hinders pursues its own goal; in other
-                worlds than PHASE this is drawn from the prior.
+            relation: who helps or hinders whom in any world: (who, whom) -> "help" or "hinder".
+                Pairs that are left out do neither. An agent that no longer helps or hinders pursues
+                its own goal; in other worlds than PHASE this is drawn from the prior.
             remove: an entity or several, such as ``"green agent"``.
-            walls: (n, 2, 2) ends of the inner walls, units; an empty list: no walls.
-            at: frame of the change; agents believe what they saw until then. By default the start.
-            seconds: simulated time from there; by default to the end of the video.
-            n, seed, workers: hypotheses, their seed, and processes (by default one per core).
+            walls: (n, 2, 2) end points of the inner walls, units; an empty list: no walls.
+            at: frame of the change; agents know what they saw until then. By default the start.
+            seconds: simulated seconds from there; by default to the end of the video.
+            n: number of hypotheses, at least 2. Default: 16.
+            seed: a whole number >= 0.
+            workers: number of processes; by default one per usable core.
             simulator: needed if the run had a simulator of its own.
-            **changed: ``goal_<agent>``, such as ``goal_red="get to green agent"``: the effective
-                goal of that agent. The others know it, and keep their own goals.
-                ``stated_goal_<agent>``: the same, but agents that help or hinder it follow.
+            **changed: ``goal_<agent>``: the effective goal of that agent, as in
+                ``goal_red="get to green agent"``. The others know it, and keep their goals.
+                ``stated_goal_<agent>``: its stated goal; agents that help or hinder it follow.
                 ``strength_<agent>``: newtons.
+
+        Returns:
+            A :class:`phase_ppl.analysis.what_if.WhatIf` of all simulations. ``print`` shows how
+            often and when each agent reaches its goal, with the change and without it. It also says
+            whether that differs by more than chance (sign test of the pairs).
 
         Example:
             ``print(post.do(remove="green agent"))``
 
         Raises:
-            InvalidSettingError: a value that cannot be used, or a run with a simulator of its own.
+            InvalidSettingError: a value that cannot be used; or ``simulator`` is needed, or it
+                cannot do this: ``at`` and ``remove`` are for the joint simulator.
             UnknownNameError: there is no such entity, goal or quantity.
         """
         from phase_ppl.analysis.what_if import Change, simulated
@@ -479,12 +487,20 @@ class EventPosterior(Hypotheses):
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
     ) -> WhatIf:
-        """Return the posterior predictive: ``seconds`` of simulated time after the last frame.
+        """Return the posterior predictive: simulations of what follows the last frame.
 
-        ``n``, ``seed``, ``workers`` are as in :meth:`do`.
+        Args:
+            seconds: simulated seconds after the last frame. Default: 2.
+            n, seed, workers: as in :meth:`do`.
+
+        Returns:
+            As :meth:`do` without a change.
 
         Example:
             ``post.at(40).predict(2).tracks.mean("simulation")``, for the closed loop's posterior
+
+        Raises:
+            InvalidSettingError: a value that cannot be used, or the run had a simulator of its own.
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)

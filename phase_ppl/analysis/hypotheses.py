@@ -70,23 +70,25 @@ SURE: Final = 1.64
 
 
 class Hypotheses(Printed):
-    """A weighted table of hypotheses, and what one can ask it.
+    """A weighted table of hypotheses, and questions that one can ask it.
 
-    Every result carries its Monte-Carlo error as ``.error``: numbers are floats with an error,
-    arrays have a coordinate ``error`` beside their values. Arithmetic computes no new errors:
-    numbers lose theirs, arrays keep the old ones. How errors are found, and when they are NaN, is
-    in :mod:`phase_ppl.analysis.estimate`.
+    Every result carries its Monte-Carlo error as ``.error``. A number is a float with an error; an
+    array has a coordinate ``error`` beside its values. Arithmetic computes no new errors: a number
+    loses its error, and an array keeps the old one. :mod:`phase_ppl.analysis.estimate` says how
+    errors are found, and when they are NaN.
 
-    Every question takes ``given``, what to condition on: quantity -> value, where a value is a
-    label, a list of labels of which any will do, or for numbers an interval (low, high); or
-    conditions in words, as ``"relation=friendly or strength_red > strength_green"``.
-    :mod:`phase_ppl.analysis.quantities` lists the quantities. All questions raise
-    UnknownNameError, which names close matches, where there is no such quantity or label, and
-    InvalidSettingError where a quantity has not what is asked for, or ``given`` has probability 0.
+    Every question takes ``given``, what to condition on: quantity -> value. A value is a label; a
+    list of labels, any of which will do; or, for numbers, an interval (low, high). ``given`` may
+    also be conditions in words, such as ``"relation=friendly or strength_red > strength_green"``.
+    :mod:`phase_ppl.analysis.quantities` lists the quantities.
+
+    All questions raise UnknownNameError if there is no such quantity or label; it names close
+    matches. They raise InvalidSettingError if a quantity lacks what is asked for, or ``given`` has
+    probability 0.
 
     Args:
-        space: of the world.
-        quantities: by name.
+        space: the world's hypotheses.
+        quantities: name -> quantity.
         rows: the table; its values are codes or numbers of every quantity.
     """
 
@@ -367,17 +369,22 @@ class Hypotheses(Printed):
     def query(self, question: str) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
 
-        :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
-        asks the same: P(conditions) of :meth:`probability`, P(name) of :meth:`marginal`, P(name,
-        name) of :meth:`joint`, E, H and I of :meth:`mean`, :meth:`entropy` and
-        :meth:`mutual_information`; others have the method's name. Odds and ratios of numbers have
-        errors too: where errors come from leaving out sets of chains or searches, a ratio's does,
-        so that what both numbers share cancels. The rest, and the error of odds, is first order.
+        :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of a method:
+
+        * P(conditions): :meth:`probability`
+        * P(name), P(name, name): :meth:`marginal`, :meth:`joint`
+        * E, H, I: :meth:`mean`, :meth:`entropy`, :meth:`mutual_information`
+        * sd, median, hdi, mode, top: the method of that name
+        * odds(conditions), and a ratio of two numbers: a number with its error
+
+        The error of odds is to first order. In the error of a ratio,
+        errors that both numbers share cancel, if they come from leaving out sets of chains or
+        searches; the rest is to first order.
 
         Raises:
-            QueryError: it cannot be read, names what does not exist, asks for what a quantity
-                does not have, or conditions on what has probability 0; the message points at
-                the place.
+            QueryError: the question cannot be read, names something unknown, asks for what a
+                quantity does not have, or conditions on an event of probability 0. The message
+                points at the place.
         """
         if (of := self._knowing(given=question)) is not self:
             return of.query(question)

@@ -515,16 +515,17 @@ def load_posterior(
     *,
     burn_in: int | None = None,
 ) -> Posterior | StepwisePosterior:
-    """Read a posterior that was saved, sampled or of the closed loop.
+    """Read a saved posterior, sampled or of the closed loop.
 
     Args:
         path: the .nc file.
-        weights, burn_in: of the draws of a sampled one; by default those it was saved with.
+        weights, burn_in: of a sampled posterior, as in :class:`Posterior`; by default those that it
+            was saved with.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: weights or a burn-in for one that has no draws.
-        UnknownNameError: there are no such weights.
+        InvalidSettingError: ``weights`` or ``burn_in`` for a posterior that has no draws.
+        UnknownNameError: there is no such weighting.
     """
     from phase_ppl.analysis.stepwise_posterior import FRAME, StepwisePosterior
     from phase_ppl.analysis.stepwise_table import SCHEMA

@@ -52,19 +52,20 @@ _SHOWN: Final = 3  # goals of an agent that are printed
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WhatIf(Printed):
-    """Simulations of hypotheses drawn from a posterior, in one world or in two.
+    """Simulations of hypotheses drawn from a posterior, unchanged and perhaps with a change.
 
-    Errors are due to the number of simulations only; the posterior's own error is not included.
+    Errors come from the number of simulations only; the posterior's own error is not included.
 
     Attributes:
         event_id: id of the event.
         change: the change, in words; "": none.
         begin: first frame of the simulations; 0 is the start.
-        scenes: of each world.
-        goals: (simulation, agent) the effective goals of the unchanged hypotheses.
-        poses: (world, simulation, time, entity, [x, y, angle]).
-        removed: entities that are missing from the last world.
-        is_removal: whether that is the only change.
+        scenes: one per world: as it is, then changed.
+        goals: (simulation, agent) effective goals of the unchanged hypotheses, indices into
+            ``world.goals``.
+        poses: (world, simulation, time, entity, [x, y, angle]), units and radians.
+        removed: indices of the entities that are missing from the changed world.
+        is_removal: whether a removal is the only change.
     """
 
     event_id: str
@@ -99,7 +100,8 @@ class WhatIf(Printed):
         """Return the time at which each simulation reaches an agent's goal.
 
         A goal to get something somewhere is reached when that is first true. A goal to get or keep
-        it away is reached if it is away at the end. Removed entities are near nothing.
+        it away is reached if it is away at the end. A removed entity counts as away from
+        everything.
 
         Args:
             agent: its name, such as "red agent", or the first word of that.
@@ -142,9 +144,12 @@ class WhatIf(Printed):
         return [Estimate(share, cautious(share, len(self.goals))[1]) for share in shares]
 
     def difference(self, agent: str, goal: str | None = None) -> Estimate:
-        """Return the change in the probability that an agent's goal is reached.
+        """Return by how much the change raises the probability that an agent reaches its goal.
 
-        Simulations are compared in pairs, of one hypothesis and one seed.
+        The simulations are paired: both of a pair have the same hypothesis and seed.
+
+        Args:
+            agent, goal: as in :meth:`reached`.
 
         Raises:
             InvalidSettingError: nothing was changed.
@@ -158,7 +163,11 @@ class WhatIf(Printed):
         return Estimate(float(change.mean()), math.sqrt(spread / (n + 2)))
 
     def film(self, path: str | os.PathLike[str], simulation: int = 0) -> Film:
-        """Write one of the simulations as a film, both worlds side by side where there are two.
+        """Write one simulation as a film, with both worlds side by side if there was a change.
+
+        Args:
+            path: of the film, which ends in ".mp4".
+            simulation: number of the simulation, from 0.
 
         Raises:
             OutputError: another ending than .mp4, or the file cannot be written.

@@ -60,17 +60,18 @@ def load_event(
     """Read one event.
 
     Args:
-        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`) or
-            a pickle of PHASE's authors (:mod:`phase_ppl.data.authors`). Only plain data are read
-            from pickles; no code in them is run. Or the name of a bundled event, with or without
-            ".json", if no file has that name.
+        path: an event file, or the name of a bundled event. The file is recognised by its content:
+            JSON (:mod:`phase_ppl.data.events_json`) or a pickle of PHASE's authors
+            (:mod:`phase_ppl.data.authors`). Only plain data are read from a pickle; its code is not
+            run. The name may have ".json" at its end. A file of that name comes first.
         video: id of the wanted event; required if the file holds several.
-        turning: "both", "ccw" or "cw" instead of the file's value.
+        turning: which way agents can turn, in place of the file's value: "both", "ccw"
+            (counter-clockwise) or "cw".
 
     Raises:
         InvalidEventError: the file cannot be read as an event; the message names file and value.
         UnknownNameError: the file holds no event ``video``; the message names close matches.
-        InvalidSettingError: the file holds several events and none was named.
+        InvalidSettingError: the file holds several events and ``video`` is not given.
     """
     _check_turning(turning)
     entries = _entries(path)
@@ -167,11 +168,15 @@ def _check_turning(turning: str | None) -> None:
 def save_event(event: Event, path: PathLike) -> None:
     """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
 
-    Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
+    Judgments and predictions come back as JSON has them: tuples as lists, and keys as strings.
+
+    Args:
+        event: the event.
+        path: of the file, which ends in ".json". An existing file is replaced.
 
     Raises:
         OutputError: the file cannot be written.
-        InvalidEventError: judgments or predictions have no form in JSON, or the id is no
+        InvalidEventError: judgments or predictions have no form in JSON, or the id is not
             printable text.
     """
     _write(path, lambda: events_json.event_bytes(event))

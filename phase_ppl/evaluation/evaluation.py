@@ -239,26 +239,28 @@ def compare_models(
     """Compare models, and people, on the same events.
 
     Args:
-        sources: evaluations, or folders of evaluations; a folder with several in it stands for
-            all of them. Names may be given, ``{"fast": ..., "paper": ...}``. The default name is
-            the model's, or the folder's if several are of the same model.
-        stored: names of reference models, whose answers the events carry, to compare too; or "all".
+        sources: evaluations, or folders of evaluations. A folder that holds several stands for all
+            of them. A mapping gives names, as in ``{"fast": ..., "paper": ...}``. Otherwise the
+            name is the model's, or the folder's if several are of the same model.
+        stored: names of further models to compare, whose answers the events carry; or "all".
+            Default: none.
         against: name of the model that the others are compared with; by default every pair is
             compared.
-        common: compare on the events that all evaluations share; otherwise they must be about
-            the same ones.
-        margin: largest difference of shares of right answers that counts as equivalence of a model
-            and people.
-        seed, resamples: of the events, for differences and equivalence; metrics have the 1000
-            resamples of the paper.
+        common: whether to compare on the events that all evaluations share. By default all must be
+            about the same events.
+        margin: largest difference between shares of right answers at which a model and people
+            count as equivalent. Default: 0.1.
+        seed: a whole number >= 0, of the resampling of events.
+        resamples: number of resamples of the events, for differences and equivalence. Default:
+            10 000. Metrics have the paper's 1000.
 
     Raises:
-        InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
-            are about different events, the message says which.
-        InvalidSettingError: a source is no evaluation; there are none; two would have the same
-            name, or one the name of people; the events are of several worlds; or a number is out
-            of range.
-        UnknownNameError: there is no model of that name to compare with, or stored.
+        InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations are
+            about different events, and the message says which.
+        InvalidSettingError: a source is no evaluation; there are none; two have the same name, or
+            one has the name of people; the events are of several worlds; or a number is out of
+            range.
+        UnknownNameError: there is no model with the name in ``against`` or ``stored``.
     """
     found = evaluations(sources)
     if not found:

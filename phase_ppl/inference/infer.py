@@ -245,27 +245,29 @@ def resume(
 ) -> Posterior:
     """Continue a run from the checkpoint of ``infer(..., checkpoint=path)``; return its posterior.
 
-    The result equals an uninterrupted run, draw for draw, with any number of workers. Other
-    versions of this package or its dependencies could change it, so they are refused unless
-    ``other_versions`` is true. The file is kept up to date. A complete run returns its posterior at
-    once; a larger number of iterations extends it.
+    The result equals an uninterrupted run, draw for draw, with any number of workers. The file is
+    kept up to date. A complete run returns its posterior at once; a larger number of iterations
+    extends it.
+
+    Other versions of this package or its dependencies could change the result. They are refused
+    unless ``other_versions`` is true.
 
     Args:
-        path: of the file.
-        event: optional check that the run is of this event; the file holds the event.
+        path: the checkpoint's file.
+        event: the event, to check that the run is about it. Optional: the file holds the event.
         model: needed if its prior, simulator or likelihood is your own: a file holds no code.
         kernel: needed if it was not given by name.
-        iterations, budget: of the whole run, what was done included; by default as before.
+        iterations, budget: of the whole run, including what was done before; by default as before.
         planner: as in :func:`infer`, if ``model`` is given.
         workers, executor, progress: as in :func:`infer`.
-        other_versions: continue with other versions. The attributes ``versions`` and
+        other_versions: whether to continue with other versions. The attributes ``versions`` and
             ``earlier_versions`` of the posterior's tree keep both.
         settings, **kernel_options: needed unless they are numbers, strings and the like.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: event, model, kernel or version differs from the run's, the message
-            says how; or must be given; or a setting cannot be used.
+        InvalidSettingError: event, model, kernel or version differs from the run's, and the message
+            says how; or one of them must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
     from phase_ppl.inference import run as runs

@@ -199,17 +199,21 @@ def program(
 
     ``program()`` samples the simulator's seed and the prior's sites, simulates by
     ``jax.pure_callback``, and adds the log likelihood as a ``numpyro.factor``. Vectorised chains
-    simulate together. The seed is a site of the chain's state, so the same point always has the
-    same likelihood (pseudo-marginal). With ``Model(noise="fixed")`` it follows from the hypothesis.
+    simulate together.
+
+    The seed is a site of the chain's state. So the same point always has the same likelihood
+    (pseudo-marginal). With ``Model(noise="fixed")`` the seed follows from the hypothesis.
+
     JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 
     Args:
-        event, model, workers, executor, on_failure, simulation_seconds: as in
-            :func:`phase_ppl.infer`.
-        settings: of SIMPLE, for kernels that propose from windows.
+        event: the event, not a file's name.
+        model, workers, executor, on_failure, simulation_seconds: as in :func:`phase_ppl.infer`.
+        settings: settings of SIMPLE, for kernels that propose from windows of the video; by default
+            those of the preset "simple".
 
     Raises:
-        InvalidEventError, InvalidSettingError, UnknownNameError: as :func:`phase_ppl.infer`.
+        InvalidEventError, InvalidSettingError, UnknownNameError: as in :func:`phase_ppl.infer`.
     """
     check_event(event)
     model = Model() if model is None else model

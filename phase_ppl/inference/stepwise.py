@@ -46,30 +46,32 @@ _COUNTED: Final = ("searches", "calls")  # what it cost
 
 
 class Watch:
-    """An observer of one event, to be given its frames one by one.
+    """An observer of one event, who is given its frames one by one.
 
-    What it says after a frame is the same whatever follows, and after the last frame it is what
-    :func:`phase_ppl.infer` returns. It holds threads or processes until ``close()``; as a context
-    manager it closes itself.
+    The posterior after a frame depends on the frames so far only. After the last frame it is the
+    one that :func:`phase_ppl.infer` returns. An observer holds threads or processes until
+    ``close()``; as a context manager it closes itself.
 
     Args:
-        scene: where everything starts.
-        model: prior, and planner or simulator, with a :class:`phase_ppl.StepwiseLikelihood`.
-        seed: of the agents' beliefs and searches, or of a simulator's samples.
-        threads: searches at a time; with a simulator of one's own, processes at most, which are
-            started if a frame takes long enough. The result does not depend on it.
+        scene: the start.
+        model: prior, and planner or simulator; its likelihood is None or a
+            :class:`phase_ppl.StepwiseLikelihood`. By default the paper's.
+        seed: a whole number >= 0, of the agents' beliefs and searches, or of a simulator's samples.
+        threads: number of searches at a time; by default one per usable core. With a simulator of
+            your own: largest number of processes, which start if a frame takes long. The result
+            does not depend on it.
         event_id: name of the event.
-        observation: of the whole video, where it is known beforehand: for a prior that looks at
-            it. Frames come one by one all the same.
+        observation: the whole video, if it is known beforehand; for a prior that looks at it.
+            Frames come one by one all the same.
 
     Example:
         ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
         ``event.observation.trajectory``, ``post = watch.update(frame)``
 
     Raises:
-        InvalidSettingError: the model has another likelihood, or a simulator that cannot go on from
-            what was seen, or a prior with too many hypotheses for one that can; or its prior looks
-            at the video, and ``observation`` is not given.
+        InvalidSettingError: the model has a likelihood that compares whole simulations; a simulator
+            that cannot continue from observed frames; too many hypotheses for the simulator; or a
+            prior that looks at the video, and ``observation`` is not given.
     """
 
     @on_cpu()
@@ -162,26 +164,26 @@ class Watch:
         self._filter.close()
 
     def take(self, frame: ArrayLike, at: float | None = None) -> None:
-        """Take in the next frame without asking for the posterior.
+        """Take in the next frame without computing the posterior.
 
         Args:
-            frame: (entity, [x, y, angle]), units and rad; the first one shows the start, from
-                which nothing is learnt. NaN says that a body was not seen: all its three numbers,
-                or its angle alone. It goes on as the model expects, and nothing is learnt of it;
-                a frame that is missing is NaN throughout.
-            at: its time stamp, seconds of simulated time, where frames come at other times than
-                every twelfth of a second. They are put on that grid as by
-                :meth:`phase_ppl.Observation.at_times`: a call takes in as many frames as are
-                complete then, perhaps none. All frames have time stamps or none has.
+            frame: (entity, [x, y, angle]), units and rad. The first frame is the start; nothing is
+                learnt from it. NaN says that a body was not seen: all its three numbers, or its
+                angle alone. Such a body moves on as the model expects, and nothing is learnt about
+                it. A missing frame is NaN throughout.
+            at: the frame's time stamp, simulated seconds; needed unless there are 12 frames per
+                simulated second. Frames are put on that grid as by
+                :meth:`phase_ppl.Observation.at_times`. So a call takes in the frames that are
+                complete by then, perhaps none. All frames have time stamps or none has.
 
         Raises:
-            InvalidEventError: another shape, an infinite number, a body outside of the arena, one
-                that was not seen where the simulator has a density of whole frames, or a time
-                stamp that is not later than the last, or later by more than an hour. What was
-                read before stays, and the next frame can follow.
-            InvalidSettingError: an earlier frame was interrupted while it was read, or only some
-                frames have time stamps. What was read before that stays.
-            SimulationError: the simulator failed, or nothing that it deems possible is left.
+            InvalidEventError: another shape; an infinite number; a body outside the arena; a body
+                that was not seen, if the simulator has a density of whole frames; or a time stamp
+                that is not later than the last, or is later by more than an hour. What was read
+                before stays, and the next frame can follow.
+            InvalidSettingError: reading an earlier frame was interrupted, or only some frames have
+                time stamps. What was read before that stays.
+            SimulationError: the simulator failed, or no hypothesis is possible any more.
         """
         name = f"frame {len(self._frames)}"
         pose = finite_array(name, frame, (len(self._scene.world.entities), 3), unseen=True)
@@ -219,15 +221,15 @@ class Watch:
                 self._columns[name].add(value)
 
     def update(self, frame: ArrayLike, at: float | None = None) -> StepwisePosterior:
-        """Take in the next frame, as :meth:`take`, and return the posterior now."""
+        """Take in the next frame, as :meth:`take`; return the posterior given the frames so far."""
         self.take(frame, at)
         return self.posterior()
 
     def posterior(self) -> StepwisePosterior:
-        """Return the posterior given the frames so far, the prior before the second.
+        """Return the posterior given the frames so far; after the first one it is the prior.
 
         Raises:
-            InvalidSettingError: not even the start was seen.
+            InvalidSettingError: there was no frame yet.
         """
         from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 

@@ -51,23 +51,22 @@ class Model:
     """Prior, simulator and likelihood.
 
     Attributes:
-        prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
-            name of a ready-made one (:mod:`phase_ppl.models.priors`). For events of other worlds
-            than PHASE a program of one argument, the world
-            (:mod:`phase_ppl.models.world_priors`). One that looks at the video has arguments named
-            ``scene``, ``observation`` or ``event``. It uses the video twice, as the likelihood
-            does too: it is an empirical prior, a cue, not a generative one.
+        prior: NumPyro program that samples the five sites of a hypothesis, and perhaps more; or the
+            name of a ready-made one (:mod:`phase_ppl.models.priors`). For other worlds than PHASE
+            the program has one argument, the world (:mod:`phase_ppl.models.world_priors`). A prior
+            that looks at the video has arguments named ``scene``, ``observation`` or ``event``.
+            Such a prior is empirical, a cue: the video counts twice, in the prior and in the
+            likelihood.
         simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
-            methods (:class:`phase_ppl.simulator.contract.Simulator`); None for the joint simulator
-            of the paper (Algorithm 1).
-        likelihood: a likelihood that compares a simulation with the video
-            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`. None
-            depends on the use: a ``StepwiseLikelihood`` for the closed loop, a
-            :class:`phase_ppl.RadialLikelihood` for a kernel.
-        planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
-        noise: "fresh": a new simulator seed per proposal. The posterior is then under the mean
-            likelihood over seeds. "fixed": one seed per event and hypothesis. The likelihood is
-            then deterministic, and the posterior differs.
+            methods (:class:`phase_ppl.simulator.contract.Simulator`). None: the joint simulator of
+            the paper (Algorithm 1).
+        likelihood: compares a simulation with the video (:mod:`phase_ppl.models.likelihood`), or is
+            a :class:`phase_ppl.StepwiseLikelihood`. None: a ``StepwiseLikelihood`` for the closed
+            loop, a :class:`phase_ppl.RadialLikelihood` for a kernel.
+        planner: "fast", "paper" or a ``PlannerConfig``, for the joint simulator. None: "fast".
+        noise: "fresh": each proposal has a new simulator seed, and the posterior is under the mean
+            likelihood over seeds. "fixed": each event and hypothesis has one seed. The likelihood
+            is then deterministic, and the posterior differs.
 
     Raises:
         InvalidSettingError: the prior cannot work (the message names the site and what is

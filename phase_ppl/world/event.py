@@ -120,8 +120,8 @@ class Observation:
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
         """Return the observation for frames at another rate, such as a tracker's or a game's.
 
-        Bodies are taken to move straight between them. At 60 a second, each frame here is the mean
-        of five.
+        Bodies move straight between frames. Of 60 frames a second, each frame here is the mean of
+        five.
 
         Args:
             trajectory: (time, entity, coord) x, y [units], angle [rad]; frame 0 is the start.
@@ -141,18 +141,18 @@ class Observation:
     def at_times(cls, trajectory: ArrayLike, times: ArrayLike, gap: float = GAP) -> Observation:
         """Return the observation for frames with time stamps, as sensors give them.
 
-        The first one is the start. From there on there is a frame every twelfth of a second, the
-        mean over it. Bodies move straight between two time stamps; where these are more than
-        ``gap`` apart, or a body is not seen in one of them, it is unseen.
+        The first frame is the start. After it there is a frame for every twelfth of a second, the
+        mean over that time. Bodies move straight between two time stamps. A body is unseen where
+        time stamps are more than ``gap`` apart, or where it is not seen at one of them.
 
         Args:
-            trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN where unseen.
-            times: (time,) seconds of simulated time, ascending.
-            gap: seconds.
+            trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN: not seen.
+            times: (time,) simulated seconds, ascending.
+            gap: seconds. Default: 0.25.
 
         Raises:
-            InvalidEventError: as for the class, or times do not ascend, are more than an hour apart
-                or are of another number.
+            InvalidEventError: as for the class; or times do not ascend, are more than an hour
+                apart, or their number is not that of the frames.
             InvalidSettingError: ``gap`` is no positive number.
         """
         given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)

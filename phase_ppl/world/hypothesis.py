@@ -195,28 +195,30 @@ def towards_whom(
 class Hypothesis(Printed):
     """Who wants what, whom each helps or hinders, and how strong all are.
 
-    An agent pursues its own goal, or helps or hinders one other with the other's own. Made as
-    below it is of PHASE; :meth:`of` makes one of any world.
+    An agent pursues its own goal, or it helps or hinders one other agent with that agent's own
+    goal. ``Hypothesis(...)`` makes a hypothesis about PHASE. :meth:`of` makes one about any world.
 
     Args:
-        goal_red: stated goal of the red agent, a goal string or an index into ``GOALS``.
+        goal_red: stated goal of the red agent, a goal's name or an index into ``GOALS``.
         goal_green: stated goal of the green agent, likewise.
-        alpha: signs of (alpha red -> green, alpha green -> red), one of ``ALPHAS``.
-        strength_red: maximum force of the red agent, newtons.
-        strength_green: maximum force of the green agent, newtons.
+        alpha: (alpha red -> green, alpha green -> red), one of ``ALPHAS``. 1: the first helps the
+            second; -1: it hinders it; 0: neither. Default: (0, 0).
+        strength_red: maximum force of the red agent, newtons. Default: 450.
+        strength_green: maximum force of the green agent, newtons. Default: 450.
 
     Attributes:
-        world: whose agents and goals.
-        stated: (agent,) own goal of each, an index into ``world.goals``. That of one who helps or
-            hinders has no effect, and may be None. ``goal_<agent>``, with the agents'
-            ``world.keys``, is the same; for None it is what it would want for itself as it does for
-            whom it helps or hinders.
-        towards: (agent,) another agent, and 1 where it is helped, -1 where it is hindered; None.
-        strengths: (agent,) maximum forces, newtons; ``strength_<agent>`` is one of them.
+        world: the world that agents and goals are of.
+        stated: (agent,) own goal of each, an index into ``world.goals``. The own goal of an agent
+            that helps or hinders has no effect, and may be None. ``goal_<agent>``, such as
+            ``goal_red``, is that of one agent; the names are ``world.keys``. For None it gives the
+            goal of the agent that is helped or hindered, as the agent's own.
+        towards: (agent,) None, or (other agent, sign): 1 if it helps that agent, -1 if it hinders
+            it.
+        strengths: (agent,) maximum forces, newtons. ``strength_<agent>`` is that of one agent.
 
     Raises:
         UnknownNameError: a goal is unknown.
-        InvalidSettingError: alpha or a strength is not allowed, or an agent is to get to itself.
+        InvalidSettingError: alpha or a strength is not allowed, or an agent's goal names itself.
     """
 
     world: World
@@ -269,19 +271,19 @@ class Hypothesis(Printed):
         relation: Mapping[tuple[str, str], str] | None = None,
         strength: Mapping[str, float] | float = STRENGTH,
     ) -> Hypothesis:
-        """Return the hypothesis said in names.
+        """Return the hypothesis given by names.
 
         Args:
-            world: whose agents and goals.
-            goals: name of an agent -> its own goal; of all that neither help nor hinder.
-            relation: (who, whom) -> "help" or "hinder".
-            strength: newtons by name, or of all.
+            world: the world that agents and goals are of.
+            goals: name of an agent -> its own goal, for every agent that neither helps nor hinders.
+            relation: (who, whom) -> "help" or "hinder"; by default nobody does.
+            strength: maximum force by agent's name, or one for all, newtons. Default: 450.
 
         Raises:
             UnknownNameError: there is no such agent, goal or relation.
-            InvalidSettingError: an agent has no goal, more than one relation, or one to itself or
-                to an agent without a goal of its own, or can do nothing for or against that goal
-                that is a goal of the world; or a strength is no positive force.
+            InvalidSettingError: an agent has no goal, or more than one relation; it helps or
+                hinders itself, or an agent without a goal of its own; what it would then want is no
+                goal of the world; or a strength is not allowed.
         """
         agents = world.agents
         instance_of("goals", goals, Mapping, "a mapping of agents to goals")

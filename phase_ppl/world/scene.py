@@ -438,22 +438,28 @@ PHASE: Final = World(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything about an event that is known before anybody moves.
+    """Everything about an event that is known before any entity moves.
+
+    Entities are in the order of ``world.entities``: agents first, then items.
 
     Attributes:
         start: (entity, 3) x, y [units], angle [rad] of each entity at rest, holding nothing.
         radius: (entity,) size R of each entity, units.
-        walls: (n, 2, 2) end points of the inner walls; the arena's border is a wall too.
-        turning: which way agents can turn by themselves: "both", "ccw" or "cw".
-        arena: x_min, x_max, y_min, y_max, units.
-        landmark_centres: (landmark, 2) centres of the landmarks' squares, units.
-        landmark_half_width: half the side of the squares, one for all or (landmark,), units.
-        resets_velocity: whether agents stand still after each planner step, as in scenes that
-            people steer (paper, Appendix A.2); items move on.
-        world: the cast; it also gives walls, arena and landmarks if these are not given.
+        walls: (n, 2, 2) end points (x, y) of the inner walls, units; by default the world's. The
+            arena's border is a wall too.
+        turning: which way agents can turn by themselves: "both" (the default), "ccw"
+            (counter-clockwise) or "cw".
+        arena: x_min, x_max, y_min, y_max, units; by default the world's.
+        landmark_centres: (landmark, 2) centres of the landmarks' squares, units; by default the
+            world's.
+        landmark_half_width: half the side of the squares, one for all or (landmark,), units; by
+            default the world's.
+        resets_velocity: whether agents stand still after each planner step; items move on. It is so
+            in scenes that people steer (paper, Appendix A.2). Default: no.
+        world: the cast of entities; by default PHASE.
 
     Raises:
-        InvalidEventError: a value that is not finite, has the wrong shape or lies outside.
+        InvalidEventError: a value is not finite, has the wrong shape or lies outside.
     """
 
     start: FloatArray
