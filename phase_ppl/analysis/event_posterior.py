@@ -385,10 +385,10 @@ class EventPosterior(Hypotheses):
         """Return the answer to a question as an argument of the prior varies.
 
         Args:
-            question: question with a numeric answer, such as ``"P(relation)"``,
+            question: question with numbers as answer, such as ``"P(relation)"``,
                 ``"P(relation=friendly)"`` or ``"E[strength_red]"``.
-            prior: NumPyro program of one argument; compare ``ppl.priors.relation_first``.
-            values: of that argument.
+            prior: NumPyro program of one argument, a number; compare ``ppl.priors.relation_first``.
+            values: values of that argument.
 
         Returns:
             The answers along ``value``, with their ``error``.
@@ -399,7 +399,7 @@ class EventPosterior(Hypotheses):
 
         Raises:
             InvalidSettingError: too little was simulated for a prior, or the answer is no number.
-            QueryError: as of :meth:`query`.
+            QueryError: as in :meth:`query`.
         """
         if not callable(prior):
             raise InvalidSettingError(

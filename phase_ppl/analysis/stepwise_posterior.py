@@ -50,27 +50,31 @@ FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 class StepwisePosterior(EventPosterior):
     """The closed loop's posterior over all agents' goals, relations and strengths.
 
-    The sum over hypotheses leaves none out, unless there are more than
-    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES`, of which so many are drawn; what
-    goes into it is approximate. Policies are estimated by searches: ``.error`` of every answer is
-    the standard error that comes of it, by the jackknife over the sets of searches
-    (``planner_seeds``), NaN with one. Velocities, holds and strengths come from a filter, and
-    strengths are taken to be independent of the goals given the video. Where the likelihood's
-    ``weight``, or for strengths ``Tracking.strength_weight``, is not 1, frames count less than they
-    would under the model (:class:`phase_ppl.StepwiseLikelihood` says how these were chosen).
+    Its methods for questions are those of :class:`phase_ppl.analysis.hypotheses.Hypotheses`. It
+    also has ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
-    With a simulator of one's own nothing is filtered, strengths go along with goals, and a frame
-    counts in full. By its own density the posterior is exact and errors are 0; by samples they come
-    from the jackknife over parts of these.
+    It is a sum over all hypotheses. With more than
+    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES` of them, it is a sum over that many
+    draws.
 
-    What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that
-    ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
+    The terms of the sum are approximate. Searches estimate the agents' policies: ``.error`` of
+    every answer is the resulting standard error, by the jackknife over the sets of searches
+    (``planner_seeds``); with one set it is NaN. Velocities, holds and strengths come from a filter.
+    Strengths are taken to be independent of the goals given the video.
+
+    The posterior is tempered if the likelihood's ``weight`` is not 1, or for strengths
+    ``Tracking.strength_weight``. Frames then count less than they would under the model
+    (:class:`phase_ppl.StepwiseLikelihood` says how these were chosen).
+
+    With a simulator of your own nothing is filtered, strengths are part of the hypotheses, and by
+    default a frame counts in full. If the simulator has a density of the next frame, the posterior
+    is exact and errors are 0. Otherwise errors come from the jackknife over parts of its samples.
 
     Args:
         found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
-        frame: the posterior given the frames up to this one; by default all.
+        frame: the posterior is given the frames up to this one; by default all.
         prior: the program whose masses ``found`` has, for questions about further sites of it.
-        table: of ``found``, if there is one.
+        table: table of ``found``, if it was made before.
 
     Raises:
         InvalidEventError: ``found`` lacks something; the message names it.
@@ -213,7 +217,7 @@ class StepwisePosterior(EventPosterior):
         return self._frame
 
     def at(self, frame: int) -> StepwisePosterior:
-        """Return the posterior given the frames up to ``frame`` only.
+        """Return the posterior given the frames from 0 to ``frame`` only.
 
         Raises:
             InvalidSettingError: there is no such frame.

@@ -119,21 +119,25 @@ class Tracking:
     """How the hidden state is followed.
 
     The scales and the tail were chosen on ten of the real videos, by agreement with the actions
-    recovered from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``);
-    ``strength_weight`` by the log score of the strengths of the first half of the real videos,
-    with and without noise on the positions (``benchmarks/stepwise.py beam``). It is far below 1
-    since a beam keeps few of the many histories that frames cannot tell apart: the evidence of a
-    pair of strengths then varies by far more than it should, on videos of the model's own too.
+    recovered from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``).
+    ``strength_weight`` was chosen by the log score of the strengths of the first half of the real
+    videos, with and without noise on the positions (``benchmarks/stepwise.py beam``).
+
+    ``strength_weight`` is far below 1, because a beam keeps few of the many histories that frames
+    cannot tell apart. So the evidence for a pair of strengths varies far more than it should, on
+    the model's own videos too.
 
     Attributes:
-        strengths: newtons that each agent may have, ascending.
-        states: states kept, in addition to the best one of each combination of strengths.
-        strength_weight: what a frame counts as evidence for strengths; below 1 it is tempered.
-        scale: of the distance of an entity from where the right action would have put it, units;
-            noise of the observation adds to it.
-        angle_scale: likewise of an agent's angle, rad.
+        strengths: forces that each agent may have, newtons, ascending.
+        states: number of states kept, in addition to the best one of each combination of strengths.
+        strength_weight: exponent of each frame's density as evidence for strengths; below 1 it is
+            tempered.
+        scale: scale of an entity's distance from where the right action would have put it, units;
+            noise of the observation is added.
+        angle_scale: the same for an agent's angle, rad.
         tail: degrees of freedom of both, Student's t.
-        noise: standard deviation of the observed positions, units; None: estimated on the way.
+        noise: standard deviation of the observed positions, units. None: estimated from the frames
+            so far.
 
     Raises:
         InvalidSettingError: a value that cannot be used.

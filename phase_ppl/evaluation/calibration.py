@@ -101,16 +101,17 @@ _SUMMARY: Final = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Calibration(Printed):
-    """How sure a model was of videos whose truth is drawn from its prior. ``print`` shows it.
+    """How well calibrated a model is on videos drawn from it. ``print`` shows it.
 
     Attributes:
-        table: a row per video and quantity. Columns ``event`` and ``quantity``; the ``rank`` of the
-            truth among ``n`` draws of the posterior, and its ``place`` from 0 to 1, (rank + u) /
-            (n + 1) with a random u; and for goals and relations the probability of the ``truth``
-            and of the ``top`` answer, whether that is ``right`` (1 or 0), the ``log_score`` of the
-            truth and what the posterior ``expected`` of it, nats. These are NaN for strengths.
+        table: a row per video and quantity. Columns: ``event`` and ``quantity``; ``rank``, that of
+            the truth among ``n`` draws of the posterior; and ``place``, from 0 to 1, (rank + u) /
+            (n + 1) with a random u. Goals and relations also have the probability of the ``truth``
+            and of the ``top`` answer; ``right``, whether that is the truth (1 or 0); ``log_score``
+            of the truth, nats; and ``expected``, the log score that the posterior expects, nats.
+            Strengths have NaN there.
         evaluation: the answers; its events are the videos.
-        notes: what is known to keep the model from being calibrated.
+        notes: known reasons why the model cannot be calibrated.
     """
 
     table: pd.DataFrame

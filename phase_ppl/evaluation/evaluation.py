@@ -57,12 +57,12 @@ class Evaluation(Printed):
     """A model's predictions of many events. ``print`` shows the table of metrics.
 
     Attributes:
-        events: all of them, in the order of the file.
+        events: all events, in the order given.
         predictions: event id -> prediction, of the events that have one.
-        failures: event id -> what went wrong, of the others.
-        settings: all that determines the predictions: ``model``, ``options``, ``seed``, the
-            ``events`` by id with a checksum of what is seen of them, ``versions``.
-        folder: folder that keeps it; None: none.
+        failures: event id -> what went wrong, of the events at which the model failed.
+        settings: all that determines the predictions: ``model``, ``options``, ``seed``,
+            ``versions``, and ``events``, id -> checksum of scene and observation.
+        folder: folder that keeps the evaluation; None: it is not kept.
         notes: remarks, such as about damaged predictions.
     """
 

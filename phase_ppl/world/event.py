@@ -120,8 +120,7 @@ class Observation:
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
         """Return the observation for frames at another rate, such as a tracker's or a game's.
 
-        Bodies move straight between frames. Of 60 frames a second, each frame here is the mean of
-        five.
+        Bodies move straight between frames. At 60 a second, each frame here is the mean of five.
 
         Args:
             trajectory: (time, entity, coord) x, y [units], angle [rad]; frame 0 is the start.
