@@ -272,23 +272,28 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def log_evidence(self) -> Estimate:
-        """Log p(s_1..t | s_0) of the frames that are counted, in nats, per (unit^8 rad^2) a frame.
+        """Log p(s_1..t | s_0) of the frames so far, nats.
 
-        Log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight`` of the
-        likelihood. Only evidence for strengths stays tempered (``Tracking.strength_weight``). Of
-        two priors, or two models with the same tracking, the one with the higher log evidence
-        explains the video better. If priors differ in strengths, do not compare them by it.
-        Where the model errs, it errs for many frames in a row: differences tend to be too large.
-        Its error is by the jackknife over sets of searches; NaN: there is one.
+        The density is in 1 / (unit^8 rad^2) for each frame.
+
+        It is log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight``
+        of the likelihood. Only evidence for strengths stays tempered
+        (``Tracking.strength_weight``).
+
+        Of two priors, or of two models with the same tracking, the one with the higher log evidence
+        explains the video better. Do not compare priors that differ in strengths by it. Differences
+        tend to be too large, because a model that errs does so for many frames in a row.
+
+        Its error is by the jackknife over sets of searches; NaN with one set.
         """
         return self._table.log_evidence(self._frame)
 
     def surprise(self) -> FloatArray:
         """Return (time,) nats by which each frame was less probable than a perfect match.
 
-        A perfect match is a frame exactly where an action puts it, were that action certain; what
-        was expected is the posterior given the frames before. 0 for the first frame. NaN of all
-        with a simulator of one's own, of which no perfect match is known.
+        A perfect match is a frame exactly where an action puts it, if that action were certain. The
+        probability of a frame is under the posterior given the frames before. The first frame has
+        0. With a simulator of your own all are NaN, because no perfect match is known.
         """
         if self._table.users_simulator:
             return np.full(self._frame + 1, np.nan)
@@ -311,16 +316,24 @@ class StepwisePosterior(EventPosterior):
         return "all hypotheses"
 
     def diagnostics(self) -> dict[str, Any]:
-        """Return whether this can be trusted.
+        """Return diagnostics, with a verdict on whether the answer can be trusted.
 
-        Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``samples``, of a
-        simulator of one's own (0: it has a density), else None; ``leading``, the most
-        probable goals and relation (:meth:`leaders`), and whether all are ``decided``;
-        ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
-        ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
-        ``unexplained_frames``, which no action explains; what
-        :func:`phase_ppl.analysis.verdict.of_tracks` says; and ``trust``, ``answer``,
-        ``checks``, ``next`` and ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
+        Returns:
+            A dictionary. Numbers in nats are None if they are unknown.
+
+            * ``frames``: number of frames so far.
+            * ``planner_seeds``, ``weight``: of the likelihood.
+            * ``samples``: of a simulator of your own (0: it has a density); else None.
+            * ``leading``: the most probable goals and relation (:meth:`leaders`). ``decided``:
+              whether all of them are sure.
+            * ``surprise_median``: of :meth:`surprise`, nats, without the part that no action
+              explains.
+            * ``surprising_share``: share of frames in which it exceeds ``surprise_reference``.
+            * ``unexplained_most``: largest part of a frame that no action explains, nats.
+              ``unexplained_frames``: the frames in which it is large.
+            * What :func:`phase_ppl.analysis.verdict.of_tracks` says.
+            * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``
+              (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
         unexplained = np.array(found["unexplained"].values, float)
@@ -351,14 +364,14 @@ class StepwisePosterior(EventPosterior):
         return space.hypothesis({site: best[name] for site, name in sites})
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals at every frame, given the frames until then.
+        """Return the marginals at every frame, given the frames so far.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or ``goal_<agent>`` and
-            ``relation_<one>_<other>`` of another world: probabilities (time, label), labels in
-            ``goal_red_is`` and so on; ``goal_red_error`` and so on: their standard errors, NaN
-            where there is a single set of searches; ``time`` in seconds. The attribute
-            ``filtering`` says what it is.
+            ``relation_<one>_<other>`` of another world: probabilities (time, label). Labels of
+            ``goal_red`` are in ``goal_red_is``, and its standard errors in ``goal_red_error`` (NaN
+            with a single set of searches); and so on. ``time`` is in simulated seconds. The
+            attribute ``filtering`` says in words what these are.
         """
         words, n = self._words, self._frame + 1
         columns = words.completed(self._table.columns())

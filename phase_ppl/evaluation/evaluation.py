@@ -119,13 +119,17 @@ class Evaluation(Printed):
         Questions that the model did not answer have no rows.
 
         Returns:
-            Columns ``event``, ``question``, ``label`` and ``model`` (text); ``probability`` and
-            its Monte-Carlo ``error`` (NaN: unknown); ``answer``, whether the label is the model's
-            answer; ``truth``, whether it is true (NA: unknown); ``sure``, whether the posterior is
-            sure of the answer, and ``decided``, whether the event is decided (NA: no posterior);
-            ``people``, the share of people who gave the label (NaN: nobody was asked); ``n``,
-            how many answered the question; and ``at``, the seconds of the film until which all
-            this is (NaN: the whole film).
+            Columns:
+
+            * ``event``, ``question``, ``label``, ``model``: text.
+            * ``probability``, and its Monte-Carlo ``error`` (NaN: unknown).
+            * ``answer``: whether the label is the model's answer.
+            * ``truth``: whether the label is true (NA: unknown).
+            * ``sure``: whether the posterior is sure of the answer (NA: no posterior).
+            * ``decided``: whether the event is decided (NA: no posterior).
+            * ``people``: share of people who gave the label (NaN: nobody was asked).
+            * ``n``: number of people who answered the question.
+            * ``at``: seconds of the film that had been shown (NaN: the whole film).
         """
         events = [event for event in self.events if event.id in self.predictions]
         rows = Answers.of(events, self.predictions).rows
