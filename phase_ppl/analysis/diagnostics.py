@@ -294,6 +294,9 @@ _CATEGORIES: Final = {
 }
 """Columns of the tables -> their headings."""
 
+_CALLED: Final = {"total_error": "total_error (distance)"}
+_OF_WHAT: Final = "P is by the weights; share, with its MCSE, ESS and R-hat, is of the draws"
+
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
 
 
@@ -311,8 +314,9 @@ class Diagnostics(Printed, dict[str, Any]):
         by = "by iteration" if few else f"by tenth of the {len(rates)} iterations"
         texts = {
             "diagnostics": f"{self._event_id}: {self['particles']} particles x "
-            f"{self['iterations']} iterations, {self['kernel']} ({self['validity']}), weights "
-            f"{self['weights']}",
+            f"{self['iterations']} iterations, {self['kernel']}"
+            + (f" ({self['validity']})" if self["validity"] != "exact" else "")
+            + f", weights {self['weights']}",
             "": "",
             "accepted": f"{self['acceptance_rate']:.0%} of the proposals; {by}, in percent: "
             + " ".join(f"{100 * part.mean():.0f}" for part in blocks),
@@ -330,13 +334,14 @@ class Diagnostics(Printed, dict[str, Any]):
             f"{self['best_error_per_frame']:.2f} units per frame from the observation",
         }
         lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
-        lines += ["", _table(self["scalars"], _SCALARS), ""]
+        scalars = {_CALLED.get(name, name): one for name, one in self["scalars"].items()}
+        lines += ["", _table(scalars, _SCALARS), ""]
         by_label = {
             (name, label): entry
             for name, labels in self["categories"].items()
             for label, entry in labels.items()
         }
-        lines += [_table(by_label, _CATEGORIES), ""]
+        lines += [_table(by_label, _CATEGORIES), *wrapped("", _OF_WHAT), ""]
         for name, apart in self["between_chain_tv"].items():
             if apart is not None:
                 lines += wrapped(
@@ -365,5 +370,5 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
     text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
     if windows["frames"] is not None:
         text += f" of {windows['frames']} frames"
-    text += f", half of which begin in frames {low} to {high}"
+    text += f"; the middle half of the proposals have one that begins in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text

@@ -543,10 +543,10 @@ def answer_lines(
         if levels:
             events: list[dict[str, Any]] = [{name: (level, level)} for level in levels]
             shares = [of.probability(**event) for event in events]
-            text = ", ".join(f"{x:g} N {p:.2f}" for x, p in zip(levels, shares, strict=True))
+            text = ", ".join(f"{x:g} N ({p:.2f})" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
-            text = f"{of.mean(name)} N (95 % interval {low:.0f} to {high:.0f} N)"
+            text = f"mean {of.mean(name)} N; 95 % of the posterior in {low:.0f} to {high:.0f} N"
         lines += wrapped("" if place else "strength", f"{agent}: {text}")
     return lines
 

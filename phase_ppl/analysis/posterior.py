@@ -497,7 +497,7 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         "budget": " (of a budget of {}),",
         "seconds": " in {:.0f} s",
         "workers": f" on {{:d}} worker{'' if cost.get('workers') == 1 else 's'}",
-        "seconds_overhead": ", {:.0f} s of it beside the simulations",
+        "seconds_overhead": ", {:.0f} s of it not simulating",
     }
     told = [words.format(cost[name]) for name, words in known.items() if cost.get(name) is not None]
     stopped = "none stopped early"

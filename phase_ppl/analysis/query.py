@@ -299,6 +299,9 @@ class _Reader:
         if not sign:
             before = self._text[: name.at].split()[-1:]
             hint = f"; one of several values: in {{a, {name.text}}}" if before == ["or"] else ""
+            if not hint:
+                labels_of = self._quantity(name).labels
+                hint = f", as in {name.text} = {labels_of[0]}" if labels_of else ""
             self.expected(f"=, !=, <, <=, >, >= or in after {shown(name.text)}{hint}")
         labels: list[Word] = []
         if sign == "in" and self._take("["):

@@ -31,7 +31,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
     whole_number,
 )
-from phase_ppl.world.event import FRAMES_PER_SECOND, MIN_FRAMES, Observation
+from phase_ppl.world.event import MIN_FRAMES, Observation
 from phase_ppl.world.picture import wrapped
 
 if TYPE_CHECKING:
@@ -466,10 +466,12 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        counted = "frames count in full"
+        counted = "untempered"
         if self._strength_weight != 1:
-            counted += f", for strengths {self._strength_weight:g}"
-        evidence = f"log density of the video {self.log_evidence:.1f} nats; {counted}"
+            counted += f", except strengths: {self._strength_weight:g} a frame"
+        value = self.log_evidence
+        density = str(value) if value.error > 0 else f"{value:.1f}"
+        evidence = f"log density of the video {density} nats ({counted})"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
@@ -477,8 +479,7 @@ class StepwisePosterior(EventPosterior):
         what = "calls" if self._table.users_simulator else "searches"
         words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
-            words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
-            words += f"simulated s lasts {cost['video_seconds']:.1f} s"
+            words += f", in {cost['seconds']:.1f} s (video: {cost['video_seconds']:.1f} s)"
         return [*told, *wrapped("cost", words)]
 
     def _notes(self) -> list[str]:

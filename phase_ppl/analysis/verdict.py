@@ -56,12 +56,12 @@ DISAGREE: Final = 0.15
 _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
     "fail": ("x", "#cf222e", "failed"),
     "doubt": ("!", "#9a6700", "doubt"),
-    "unknown": ("?", "#57606a", "not checked, or unknown"),
+    "unknown": ("?", "#57606a", "unknown"),
     "ok": ("+", "#1a7f37", "passed"),
 }
 """State -> its mark, colour and meaning, the worst state first."""
 
-_CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
+_CLOSED_LOOP: Final = "use the closed loop: ppl.infer without kernel="
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
 _RATE: Final = (
@@ -152,7 +152,7 @@ def _legend(found: Record) -> str:
     """Return what the marks of the checks mean, if not all passed."""
     states = {one["state"] for one in found["checks"]}
     marks = [f"{mark} {means}" for state, (mark, _, means) in _LOOKS.items() if state in states]
-    return ", ".join(marks) if states != {"ok"} else ""
+    return "; ".join(marks) if states != {"ok"} else ""
 
 
 def as_html(found: Record) -> str:
@@ -365,7 +365,7 @@ def _by_prior(found: Record) -> Iterator[Check]:
             f"With all goals alike beforehand there would be {' and '.join(short)}: above {ALONE} "
             "the video decides, up to 1/2 the prior."
         )
-        value = f"{min(shown.values())} without the prior"
+        value = f"lowest {min(shown.values())}, uniform prior"
         state = "doubt" if short else "ok"
         yield Check("the video decides", state, value, f"above {ALONE}", says)
 
@@ -381,7 +381,9 @@ def _tried(found: Record, longer: str) -> Iterator[Check]:
             "count as impossible."
         )
         few = "unknown" if untried >= UNTRIED else "ok"
-        value, limit = f"{1 - untried:.2f} of the prior", f"{1 - UNTRIED:.2f} or more"
+        value = f"{1 - untried:.2f} of the prior"
+        # no bound is missed: some kernels need not try all
+        limit = f"{1 - UNTRIED:.2f} or more" if few == "ok" else "the rest is unknown"
         yield Check("goals simulated", few, value, limit, says)
 
 
@@ -414,7 +416,7 @@ def _agreement(found: Record, longer: str) -> Check:
         "real uncertainty from chains that have not mixed."
     )
     state = "doubt" if split else "ok"
-    return Check(name, state, f"{least:.0%} on each goal", limit, says, longer)
+    return Check(name, state, f"at least {least:.0%} on each goal", limit, says, longer)
 
 
 def _camps(leading: Mapping[str, int]) -> str:
@@ -503,7 +505,7 @@ def of_reading(found: Record) -> dict[str, Any]:
             f"{errors[worst]:.2f}): use more."
         )
         state = "doubt" if errors[worst] > DISAGREE else "ok"
-        value = f"errors up to {errors[worst]:.2g}, {n_sets} sets"
+        value = f"answers' errors up to {errors[worst]:.2g}"
         checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
     elif not users_simulator:
         says = "With one set of searches nothing tells how much of this is the planner's chance."

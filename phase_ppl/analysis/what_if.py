@@ -138,6 +138,12 @@ class WhatIf(Printed):
         about_it = not {planned.subject, *touched}.isdisjoint(self.removed)
         return planned.positive if about_it else None
 
+    def _about_removed(self, agent: str) -> bool:
+        """Return whether some of an agent's unchanged goals are about what is removed."""
+        holder = _entity(agent, self.world.agents)
+        literals = (goal_literal(row[holder], holder, self.world) for row in self.goals)
+        return any(self._wanted_near(literal, holder) is not None for literal in literals)
+
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
         """Return in each world the probability that an agent's goal is reached."""
         shares = np.isfinite(self.reached(agent, goal).values).mean(axis=1).tolist()
@@ -188,42 +194,44 @@ class WhatIf(Printed):
             f"{self.begin / FRAMES_PER_SECOND:.1f} s on (simulated time)"
         ]
         there = [one for n, one in enumerate(self.world.agents) if n not in self.removed]
-        its = "its goal" if len(self.scenes) == 1 else "its unchanged goal"
-        lines += [f"the {one} reaches {its}{self._goals(one)}: {self._told(one)}" for one in there]
+        for one in there:
+            inline, listed = self._goals(one)
+            lines.append(f"the {one} reaches its goal{inline}: {self._told(one)}{listed}")
         return "\n".join(textwrap.fill(line, 88, subsequent_indent="  ") for line in lines)
 
-    def _goals(self, agent: str) -> str:
-        """Return an agent's unchanged goals, and in how many simulations, if there are several."""
+    def _goals(self, agent: str) -> tuple[str, str]:
+        """Return an agent's unchanged goal; or several, each with its number of simulations."""
         held = Counter(row[self.world.agent(agent)] for row in self.goals).most_common()
         names = [self.world.goals[goal] for goal, _ in held]
         if len(held) == 1:
-            return f" ({names[0]})"
-        listed = [f"{name} in {n}" for name, (_, n) in zip(names[:_SHOWN], held, strict=False)]
+            return f" ({names[0]})", ""
+        listed = [f"{name} ({n})" for name, (_, n) in zip(names[:_SHOWN], held, strict=False)]
         more = f", {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
-        return f" (which differs between simulations: {', '.join(listed)}{more})"
+        return "", f". Goals drawn: {', '.join(listed)}{more}"
 
     def _told(self, agent: str) -> str:
-        seconds = self.reached(agent).values
-        told = []
+        seconds, told, about = self.reached(agent).values, [], self._about_removed(agent)
+        names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         for share, row in zip(self.probability(agent), seconds, strict=True):
             reached = row[np.isfinite(row)]
             after = np.median(reached) if reached.size else np.inf
-            when = "" if np.isinf(after) else f" (after {after:.1f} s)"
+            when = "" if np.isinf(after) else f" (median: at {after:.1f} s)"
             if self.begin and after <= self.begin / FRAMES_PER_SECOND:
                 when = " (it is reached already)"
             told.append(f"{share}{when}")
         if len(told) == 1:
-            return told[0]
+            return f"probability {told[0]}"
+        if about:
+            told[1] = f"{told[1].partition(' (')[0]} (goals about {names} count it as far away)"
         change, (before, after) = self.difference(agent), np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             so = f"; no difference found ({change})"
-        elif self.is_removal:
-            names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
+        elif self.is_removal and not about:
             so = f": {names} was {'in its way' if change > 0 else 'of help'} ({change})"
         else:
             so = f": {'more' if change > 0 else 'less'} often ({change})"
-        return f"{told[0]} as it is, {told[1]} with {self.change}{so}"
+        return f"probability {told[0]} as it is, {told[1]} with {self.change}{so}"
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"

@@ -91,6 +91,10 @@ _ROUNDING: Final = 1e-9  # of sums of scores, nats
 _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
+_LEGEND: Final = (
+    "rank: mean place of the truth among draws, from 0 to 1; draws are in order of newtons, or of "
+    "their goal's or relation's probability. p_even: p-value of a test that places are uniform."
+)
 
 
 _SUMMARY: Final = (
@@ -194,6 +198,7 @@ class Calibration(Printed):
         lines = wrapped("calibration", head)
         shown = self.summary.drop(columns=["n", "p_score", "verdict"]).rename_axis(None)
         lines += ["", *shown.to_string(float_format="{:.3f}".format, na_rep="").splitlines()]
+        lines += textwrap.wrap(_LEGEND, WIDTH)
         verdicts = self.summary["verdict"].items()
         said = [
             line
@@ -233,11 +238,14 @@ class Calibration(Printed):
             found |= {score: part[score].mean() for score in ("log_score", "expected")}
             found["p_score"] = _p_score(np.array(said), float(gain.sum()))
             if found["p_score"] < DOUBTFUL:
-                how = "less sure than it should be" if gain.mean() > 0 else "too sure"
-                beyond = f"the truth scores {gain.mean():+.2f} nats against expectation"
-                verdicts.append(f"{how}: {beyond}")
+                above = gain.mean() > 0
+                how = "less sure than it should be" if above else "too sure"
+                beyond = f"{abs(gain.mean()):.2f} nats {'above' if above else 'below'} expectation"
+                verdicts.append(f"{how}: the truth scores {beyond}")
         if found["p_even"] < DOUBTFUL:
-            verdicts.append(f"ranks are not even (p = {found['p_even']:.2g})")
+            verdicts.append(
+                f"ranks are not uniform (p = {found['p_even']:.2g}): biased or wrongly sure"
+            )
         return {**found, "verdict": ", ".join(verdicts) or f"nothing wrong found in {n} videos"}
 
 

@@ -19,11 +19,18 @@ LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
-    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson, other scores by resampling events"
+    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson with the effective number of independent "
+    "answers, other scores by resampling events"
 )
 
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair
 _EVENTS: Final = "n_events"
+_VERDICTS: Final = {
+    "decided": "in decided events",
+    "undecided": "in undecided events",
+    "sure": "where the answer is sure",
+}
+"""Column -> which answers it is about."""
 
 _Rows = Mapping[str, Mapping[str, Any]]  # name -> metrics
 _Columns = Mapping[str, str | Place]  # heading -> place in the metrics, parts joined by dots
@@ -133,11 +140,13 @@ def _tables(models: _Rows, people: Mapping[str, Any]) -> Iterator[tuple[str, _Co
     numbers |= {"relations": "relation_accuracy", "events": _EVENTS, "CPU s/event": "cpu_seconds"}
     yield title, numbers, right
     for kind, word in KIND_WORDS.items():
-        yield (
-            f"{word} right, where the event is decided or not, and of answers that are sure",
-            {name: ("verdict", kind, name) for name in ("decided", "undecided", "sure")},
-            models,
-        )
+        places: dict[str, Place] = {name: ("verdict", kind, name) for name in _VERDICTS}
+        known = [
+            words
+            for name, words in _VERDICTS.items()
+            if any(at(metrics, places[name]) for metrics in models.values())
+        ]
+        yield f"{word} right {', '.join(known)}", places, models
     agreeing = {**models, PEOPLE: _among_people(models)}
     for where, words in (
         ("human", " (people: r of halves; bound of the log score)"),

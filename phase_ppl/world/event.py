@@ -345,7 +345,7 @@ class Observation:
     def duration(self) -> str:
         """The duration, in words."""
         seconds = (self.n_frames - 1) / FRAMES_PER_SECOND
-        return f"{self.n_frames} frames, {seconds:.1f} s simulated"
+        return f"{self.n_frames} frames ({seconds:.1f} simulated s)"
 
     def __repr__(self) -> str:
         bodies = f"{self.positions.shape[1]} bodies"
@@ -354,7 +354,7 @@ class Observation:
             (x0, y0), (x1, y1) = seen.min(axis=0), seen.max(axis=0)
             bodies += f", x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}"
         if n := int(np.isnan(self.positions[..., 0]).any(axis=1).sum()):
-            bodies += f"; in {n} frames not all are seen"
+            bodies += f"; some unseen in {n} frames"
         return f"<observation: {'; '.join(filter(None, (self.duration, bodies, self.said)))}>"
 
 

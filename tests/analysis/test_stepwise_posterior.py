@@ -189,7 +189,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     of_strengths = StepwisePosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
     assert tempering in str(of_strengths)
-    counted = "nats; frames count in full, for strengths 0.05"
+    counted = "nats (untempered, except strengths: 0.05 a frame)"
     assert counted in " ".join(str(of_strengths).split())
     for told in (of_strengths.why("relation=friendly"), of_strengths.over_time()):
         assert told.attrs["tempering"] == tempering
@@ -233,7 +233,7 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
     for asked in (("goal_red", "relation"), ("alpha",)):
         np.testing.assert_array_equal(again.joint(*asked), post.joint(*asked))
     assert str(again) == str(post)
-    paid = "12 searches, 4 a step, in 1.0 s; the film of 0.2 simulated s lasts 0.8 s"
+    paid = "12 searches, 4 a step, in 1.0 s (video: 0.8 s)"
     assert all(paid in " ".join(str(post.at(frame)).split()) for frame in range(4))
     early = ppl.load_posterior(post.at(1).save(tmp_path / "early.nc"))
     assert str(early) == str(post.at(1))  # what came later is still there, and counts for nothing
