@@ -466,12 +466,12 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        counted = "untempered"
+        counted = " (untempered)" if self.tempering else ""
         if self._strength_weight != 1:
-            counted += f", except strengths: {self._strength_weight:g} a frame"
+            counted = f" (untempered, except strengths: {self._strength_weight:g} a frame)"
         value = self.log_evidence
         density = str(value) if value.error > 0 else f"{value:.1f}"
-        evidence = f"log density of the video {density} nats ({counted})"
+        evidence = f"log density of the video {density} nats{counted}"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")

@@ -211,7 +211,6 @@ class WhatIf(Printed):
 
     def _told(self, agent: str) -> str:
         seconds, told, about = self.reached(agent).values, [], self._about_removed(agent)
-        names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         for share, row in zip(self.probability(agent), seconds, strict=True):
             reached = row[np.isfinite(row)]
             after = np.median(reached) if reached.size else np.inf
@@ -222,12 +221,13 @@ class WhatIf(Printed):
         if len(told) == 1:
             return f"probability {told[0]}"
         if about:
-            told[1] = f"{told[1].partition(' (')[0]} (goals about {names} count it as far away)"
+            told[1] = f"{told[1].partition(' (')[0]} (what is removed counts as far away)"
         change, (before, after) = self.difference(agent), np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             so = f"; no difference found ({change})"
         elif self.is_removal and not about:
+            names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
             so = f": {names} was {'in its way' if change > 0 else 'of help'} ({change})"
         else:
             so = f": {'more' if change > 0 else 'less'} often ({change})"

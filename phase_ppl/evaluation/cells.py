@@ -19,8 +19,8 @@ LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
-    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson with the effective number of independent "
-    "answers, other scores by resampling events"
+    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson with the effective number of "
+    "independent answers, other scores by resampling events"
 )
 
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair

@@ -255,8 +255,8 @@ def simulate(
     what, depth = deepest_overlap(scene)
     if depth > _OVERLAP and not overlapping:
         raise InvalidEventError(
-            f"{what} overlap by {depth:.2f} units at the start (allowed: {_OVERLAP:g}) and would fly "
-            "apart; to simulate anyway: overlapping=True"
+            f"{what} overlap by {depth:.2f} units at the start (allowed: {_OVERLAP:g}) and would "
+            "fly apart; to simulate anyway: overlapping=True"
         )
     run = JointSimulator(planner) if simulator is None else simulator
     notes: list[tuple[Any, ...]] = []  # copied at each step, since beliefs change in place
