@@ -341,7 +341,7 @@ class Diagnostics(Printed, dict[str, Any]):
             for name, labels in self["categories"].items()
             for label, entry in labels.items()
         }
-        lines += [_table(by_label, _CATEGORIES), *wrapped("", _OF_WHAT), ""]
+        lines += [_table(by_label, _CATEGORIES), _OF_WHAT, ""]
         for name, apart in self["between_chain_tv"].items():
             if apart is not None:
                 lines += wrapped(

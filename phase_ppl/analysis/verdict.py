@@ -61,7 +61,7 @@ _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
 }
 """State -> its mark, colour and meaning, the worst state first."""
 
-_CLOSED_LOOP: Final = "use the closed loop: ppl.infer without kernel="
+_CLOSED_LOOP: Final = "use the closed loop: infer without kernel="
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
 _RATE: Final = (

@@ -200,7 +200,8 @@ def test_what_cannot_be_asked_is_refused(post: StepwisePosterior) -> None:
         return lambda: post.at(number)
 
     for ask, error, said in (
-        (lambda: post.why("relation"), QueryError, "expected =, !="),
+        (lambda: post.why("relation"), QueryError, "expected =, !=.*, as in relation = friendly"),
+        (lambda: post.why("red"), QueryError, "unknown quantity .red.; allowed: goal_red"),
         (lambda: post.why("relation=cordial"), QueryError, "cordial"),
         (lambda: post.why("relation=friendly | alpha=(1, 0)"), QueryError, "'or' or the end"),
         (lambda: post.why("goal_red=get to red agent"), InvalidSettingError, "under the prior"),

@@ -243,7 +243,10 @@ def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> 
     assert math.isnan(Posterior(tree).untried)
     post = Posterior(with_prior(tree, [(A, 0.5), (B, 0.3), (C, 0.2)]))
     assert post.untried == pytest.approx(0.5)
-    assert "0.50 of the prior's mass were never simulated" in post.diagnostics()["verdict"]
+    found = post.diagnostics()
+    assert "0.50 of the prior's mass were never simulated" in found["verdict"]
+    (check,) = (one for one in found["checks"] if one["name"] == "goals simulated")
+    assert (check["state"], check["limit"]) == ("unknown", "the rest is unknown")
 
 
 # --- over time: by hand, against the posterior, and what later frames can change ------------------

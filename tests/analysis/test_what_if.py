@@ -226,6 +226,9 @@ def test_what_was_removed_is_in_no_room_and_near_nothing() -> None:
         **{"Get anna to home": [np.inf, np.inf], "Get anna away from home": [0, 0]},
     }.items():
         assert found.reached("anna", goal).values[:, 0].tolist() == expected, goal
+        this = dataclasses.replace(found, goals=[(world.goals.index(goal),)])
+        by_removal = "(what is removed counts as far away)" in told(this)
+        assert by_removal == ("home" not in goal or "ball" in goal), goal
 
 
 def test_a_film_shows_both_worlds(alone: WhatIf, tmp_path: Path) -> None:

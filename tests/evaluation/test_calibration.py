@@ -95,7 +95,9 @@ def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
 )
 def test_a_wrong_noise_is_found(spread: float, verdict: str, sign: int) -> None:
     summary = calibrate(N, spread).summary
-    assert summary.loc["goal_red", "verdict"].startswith(verdict)
+    said = summary.loc["goal_red", "verdict"]
+    assert said.startswith(verdict)
+    assert f" nats {'above' if sign > 0 else 'below'} expectation" in said
     right_minus_sure = summary["right"] - summary["confidence"]
     assert sign * right_minus_sure["goal_red"] > 0.03
     assert summary.loc["goal_red", "p_even"] < 0.05

@@ -173,6 +173,8 @@ def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path
             "decided": (2, 0.5), "undecided": (1, 0), "sure": (3, 1 / 3),
         }  # fmt: skip
         assert "0.50 [0.01, 0.99] of 2" in str(one)
+        where = "in decided events, in undecided events, where the answer is sure"
+        assert f"relations right {where}\n" in str(one)
     changed(tmp_path / "events" / "0000-a" / "prediction.json", sure={"goal_red": "yes"})
     with pytest.raises(InvalidEventError, match="goal_red='yes', expected True or False"):
         ppl.Evaluation.load(tmp_path)
