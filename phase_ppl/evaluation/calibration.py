@@ -270,14 +270,14 @@ def calibrate(
     whole simulation. It is drawn frame by frame, by ``next_frames``, if the simulator has nothing
     else or the model's likelihood is a :class:`phase_ppl.StepwiseLikelihood`. A likelihood with a
     method ``replicate``, such as :class:`phase_ppl.RadialLikelihood`, adds its noise to positions.
-    With ``likelihood=None`` there is no noise.
+    For a model whose ``likelihood`` is None there is no noise.
 
     If a body leaves the arena or the simulator fails, hypothesis and video are drawn anew. This
     does not change the posterior given a valid video.
 
-    A posterior can be calibrated only if videos are drawn from its likelihood. The joint
-    simulator's are not quite. The closed loop takes agents to be less determined than the
-    simulator's are. Its likelihood and the default one of kernels are tempered; the result says
+    A posterior can be calibrated only if videos are drawn from its likelihood. Videos of the
+    package's own simulator are not quite. The closed loop takes actions to be more random than
+    they are there. Its likelihood and the default one of kernels are tempered; the result says
     so.
 
     Args:

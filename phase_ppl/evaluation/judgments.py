@@ -138,15 +138,16 @@ def load_judgments(
     values are allowed. Other columns are kept. Rows without an answer or a video are left out.
 
     Args:
-        path: a table's file or a :class:`pandas.DataFrame`; or a rater's file of the public study,
-            or the folder of them. The options after ``events`` are for tables.
+        path: a table's file or a :class:`pandas.DataFrame`; or a rater's file that the authors of
+            PHASE published, or the folder of them. The options after ``events`` are for tables.
         events: the events that were judged, or their file or folder, all of one world. Their world
             decides the questions. In a table, a video that is not among them is an error; in
             raters' files it is left out. Default: any events of PHASE.
         names: your name -> the name here, of columns, questions, answers and videos; None leaves
             a column out.
         na: further texts for missing values, such as "-99".
-        repeated: which answer counts if a person answered the same twice: "first" or "last". By
+        repeated: which answer counts if a person answered a question about a video twice: "first"
+            or "last". By
             default, "refuse", such a file is an error that names all of them.
         milliseconds: whether ``response_time`` and ``at`` are in milliseconds. By default each is
             judged by its median.

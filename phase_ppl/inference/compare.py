@@ -240,8 +240,9 @@ def compare(
         kernels: kernels to compare, or label -> kernel. Each is a name, a kernel class, a function
             that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of that and
             its options, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``. Options are the
-            kernel's own, ``chains`` and ``settings``. A preset keeps its planner and length. All
-            kernels with bottom-up proposals use those of ``settings``, unless their options differ.
+            kernel's own, ``chains`` and ``settings``. A preset keeps its planner. All
+            kernels with bottom-up proposals use those of ``settings``, unless an option of a kernel
+            names others.
             The column ``proposals`` of the printed table names them.
         budget: limit for each run: ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``, the
             initial ones included; or ``phase_ppl.seconds(t)``, compiling included. The last
@@ -249,7 +250,7 @@ def compare(
         repeats: number of runs of every kernel. Default: 8.
         chains: number of particles, M in the paper. Default: 15.
         seed: a whole number >= 0.
-        reference: posterior that results are compared with. One of the same event and model;
+        reference: what results are compared with: a posterior of the same event and model;
             "enumeration" (:mod:`phase_ppl.inference.reference`), with 4 simulations per pair of
             goals, or as many as ``("enumeration", {"per_pair": 16})`` says; or "none". The default
             is enumeration if ten times the budget suffices, else none. The printed result has the

@@ -92,16 +92,16 @@ def infer(
 
     A run of fewer than 20 iterations weighs all simulations, accepted or not. At its end, untried
     rivals of the leading goals are simulated too. In a rival, one agent wants the same thing at
-    another landmark. This takes one simulation or a few more per particle. It is left out if there
-    is a ``budget``. Rivals count in the posterior, not in the chains.
+    another landmark. This costs each particle one to three further simulations. It is left out if
+    there is a ``budget``. Rivals count in the posterior, not in the chains.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
     depend on ``seed``, not on the number of workers.
 
     The treatment of failed simulations (``on_failure``) is part of the model:
 
-    * "reject": the likelihood is zero. A hypothesis loses the share of its probability with which
-      its simulations fail.
+    * "reject": the likelihood is zero. If a third of a hypothesis's simulations fail, its mean
+      likelihood is a third lower.
     * "retry": the simulation is repeated with other seeds, up to three times, then rejected. The
       likelihood is that of successful runs, so failures hardly cost a hypothesis anything.
     * "raise": the run ends with the error, which carries the results so far.

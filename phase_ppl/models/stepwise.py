@@ -41,8 +41,8 @@ class StepwiseLikelihood:
     """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
 
     An agent acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|. Visits are those of the
-    root actions in the planner's search; |A| is the number of actions. The mean of pi over
-    ``planner_seeds`` independent sets of beliefs and searches counts.
+    root actions in the planner's search; |A| is the number of actions. pi is averaged over
+    ``planner_seeds`` independent sets of beliefs and searches.
 
     The posterior is tempered: each frame counts ``weight``. The reason is that real agents can plan
     otherwise than the model for many frames on end, so frames are not independent evidence.
@@ -50,8 +50,9 @@ class StepwiseLikelihood:
     searches and in the filter of the hidden state.
 
     ``lapse`` and ``weight`` have the highest log score of goals and relation, after the whole
-    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 others they were
-    looked at, and come within 0.01 nats of the best. So figures on these videos are in-sample.
+    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 of
+    the others, whose scores were seen too, they come within 0.01 nats a video of the best. So
+    figures on these videos are in-sample.
 
     A simulator of your own (:class:`phase_ppl.simulator.contract.Simulator`) may have a density of
     the next frame, ``log_prob_next``. Then the posterior is exact. Otherwise the density is a

@@ -221,8 +221,8 @@ def simulate(
         strength: maximum force by agent's name, or one for all, newtons. Default: 450.
         frames: number of frames, 12 per simulated second; frame 0 is the start. Default: 101.
         seed: a whole number >= 0. The same seed gives the same event.
-        planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
-        simulator: a simulator in place of the joint one. Unless it is a ``JointSimulator``, the
+        planner: "fast", "paper" or a ``PlannerConfig``; only for the package's simulator.
+        simulator: a simulator in place of the package's. Unless it is a ``JointSimulator``, the
             event has no ``thoughts``.
         id: name of the event.
         overlapping: whether bodies may overlap at the start, as in some real videos. They then fly

@@ -203,9 +203,9 @@ class Observation:
             gap: gaps of up to this many seconds are filled linearly; 0 fills none. Longer gaps
                 stay. Default: 0.25.
             angles: angles of agents whose tracks have none: "unseen", or "heading", the direction
-                of motion. Agents can move in any direction without turning, so a heading is often
-                an angle that no agent could have. With "unseen" only the first frame has the
-                heading; inference does not use it.
+                of motion. Agents can move in any direction without turning, so a heading often
+                jumps faster than an agent can turn, and no action explains it. With "unseen" the
+                first frame gets the heading as a placeholder, which inference ignores.
             ahead: two parts of a body. Their line, from the first to the second, gives the angle.
             least_sure: points below this confidence count as not seen. It is the other program's
                 own confidence, in a column "likelihood", "score" or "confidence". Default: 0.6.

@@ -64,7 +64,10 @@ class SamplerState(NamedTuple):
 
 
 class NumpyroKernel(EventKernel):
-    """Base of kernels that run a NumPyro sampler on the model's log density over a real vector.
+    """Base of kernels that run a NumPyro sampler on real numbers that stand for a hypothesis.
+
+    The inverse distribution functions of the prior's sites turn them into a hypothesis, goals
+    included.
 
     A subclass makes the sampler, in :meth:`sampler`. All particles are simulated together.
 
