@@ -422,7 +422,8 @@ def test_a_film_stops_and_sliders_are_moved_by_keys(opened: Opened, made: Any) -
     window.page.evaluate(play)
     for stop, at in enumerate((0.25, 0.5)):
         # the words of the first stop may still be there
-        window.page.wait_for_function(f"document.querySelector('video').currentTime > {at - 0.1}")
+        played = f"document.querySelector('video').currentTime > {at - 0.1}"
+        wait_until(lambda script=played: window.page.evaluate(script), 30)
         window.says(stopped)
         window.is_accessible()
         for label in own:
