@@ -14,6 +14,7 @@ of the compiled physics. Use a quiet machine, and compare figures of one run.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import os
@@ -24,14 +25,13 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
 import pandas as pd
 from speed.engines import transitions
-from speed.whole import Clock
+from speed.whole import Clock, resident
 
 import phase_ppl as ppl
 from phase_ppl.agents import pomcp
@@ -130,8 +130,9 @@ def answers(_: Any) -> dict[str, Any]:
         found[f"closed_loop_{sets}_cpu_of_film"] = (time.process_time() - cpu) / length
         found[f"closed_loop_{sets}_searches"] = post.cost["searches"]
         clock = Clock()
-        for owner, name in ((HiddenState, "advance"), (Policies, "observe"), (Policies, "search")):
-            clock.time(owner, "root_statistics" if name == "search" else name, name)
+        clock.time(HiddenState, "advance", "joint actions")
+        clock.time(Policies, "observe", "beliefs")
+        clock.time(Policies, "root_statistics", "searches")
         try:
             with ppl.watch(event.scene, model, seed=1, threads=1) as watch:
                 cpu = time.process_time()
@@ -167,10 +168,6 @@ def transitions_of(read: Callable[[], Any]) -> int:
     finally:
         pomcp.run = search
     return sum(counts)
-
-
-def resident() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
 
 
 def stream(options: Any) -> dict[str, Any]:
@@ -227,8 +224,6 @@ def events(options: Any) -> dict[str, Any]:
 
 
 def named(event: ppl.Event, n: int) -> list[ppl.Event]:
-    import dataclasses
-
     return [dataclasses.replace(event, id=f"event-{place}") for place in range(n)]
 
 
@@ -261,6 +256,7 @@ def models(options: Any) -> dict[str, Any]:
             post = infer(one)
             cpu = time.process_time() - cpu
             masses = {site: post.marginal(site).to_series() for site in truth}
+            log_p = {site: np.log(max(masses[site][truth[site]], 1e-12)) for site in truth}
             rows.append(
                 {
                     "model": name,
@@ -269,6 +265,8 @@ def models(options: Any) -> dict[str, Any]:
                         [masses[s].idxmax() == truth[s] for s in ("goal_red", "goal_green")]
                     ),
                     "relation": float(masses["relation"].idxmax() == truth["relation"]),
+                    "log_p_goals": np.mean([log_p["goal_red"], log_p["goal_green"]]),
+                    "log_p_relation": log_p["relation"],
                 }
             )
             print(f"  {one.id} {name}: {cpu:.0f} s", flush=True)

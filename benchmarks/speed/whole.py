@@ -6,11 +6,13 @@ import contextlib
 import dataclasses
 import itertools
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -264,13 +266,13 @@ def cold() -> dict[str, Any]:
     }
 
 
+def resident() -> float:
+    """Return the megabytes of this process that are in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+
+
 def memory() -> dict[str, Any]:
     """Growth of the resident set over simulated steps, after a warm-up."""
-
-    def resident() -> float:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * 4096 / 2**20
-
     run(PlannerConfig.fast(), steps=100)
     before, steps = resident(), 0
     for seed in range(1, 4):

@@ -101,8 +101,9 @@ def evaluate(
     follow. A bad setting of a named model is raised at once. If a worker process dies, its event is
     tried once more.
 
-    If people judged at moments of a film, a posterior is read at the frame of each moment. A model
-    without a posterior is asked about the film cut at that frame.
+    If people judged at moments of a film, a posterior is read at the frame of each moment. One of
+    a kernel is read in hindsight: its simulations were chosen by the whole film. A model without a
+    posterior is asked about the film cut at that frame.
 
     The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
     results do not depend on the number of workers, nor on order and choice of events.

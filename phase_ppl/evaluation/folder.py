@@ -10,7 +10,6 @@
         posterior.nc         where the model has one
       failures.json          event id -> what went wrong, of the events without a prediction
       metrics.json           written last
-      figures/*.png
 
 An event's folder exists only if its prediction is complete. So an interrupted evaluation continues
 with the missing events.

@@ -253,7 +253,8 @@ def compare(
         reference: what results are compared with: a posterior of the same event and model;
             "enumeration" (:mod:`phase_ppl.inference.reference`), with 4 simulations per pair of
             goals, or as many as ``("enumeration", {"per_pair": 16})`` says; or "none". The default
-            is enumeration if ten times the budget suffices, else none. The printed result has the
+            for a result of the closed loop is its exact posterior; else enumeration if ten times
+            the budget suffices; else none. The printed result has the
             distance between two halves of the reference. Smaller differences between kernels are
             not ranked.
         settings: settings of SIMPLE; by default those of the preset "simple", as in

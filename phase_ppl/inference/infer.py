@@ -90,7 +90,8 @@ def infer(
     ``infer(infer(event), kernel="smc")``. This tests the kernel: nothing is simulated, and the
     exact answer is known.
 
-    A run of fewer than 20 iterations weighs all simulations, accepted or not. At its end, untried
+    A run of fewer than 20 iterations weighs all simulations, accepted or not, if the densities of
+    the kernel's proposals are known, as SIMPLE's are. At its end, untried
     rivals of the leading goals are simulated too. In a rival, one agent wants the same thing at
     another landmark. This costs each particle one to three further simulations. It is left out if
     there is a ``budget``. Rivals count in the posterior, not in the chains.
