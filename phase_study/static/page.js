@@ -23,13 +23,14 @@ class Film {
       if (this.waiting !== null || !(this.video.currentTime >= this.moments[0])) return;
       this.waiting = this.moments.shift();
       this.video.pause();
+      this.video.currentTime = this.waiting; // a slow device has gone past it, maybe to the end
       this.button.disabled = true;
       says("Play", "The animation has stopped. Please answer by what you have seen so far.");
     };
     const watch = () => { stop(); if (!this.video.paused) requestAnimationFrame(watch); };
     this.video.addEventListener("timeupdate", stop); // a hidden page draws no frames
     this.video.addEventListener("pause", () => { if (this.waiting === null && !this.video.ended && !this.video.error) says("Play"); });
-    this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); fromTheStart = true; says("Play again"); });
+    this.video.addEventListener("ended", () => { if (this.waiting !== null) return; this.firstEnd ??= Math.round(performance.now() - begun); fromTheStart = true; says("Play again"); });
     this.video.addEventListener("error", () => {
       fromTheStart = true;
       note("video error", this.video.error?.code);
