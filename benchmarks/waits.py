@@ -5,7 +5,7 @@
 - ``first``: the first answer where no compiled code is kept; which functions were compiled
 - ``answers``: the closed loop and SIMPLE on a bundled event, by part
 - ``stream``: frames of a stream, early and late: seconds and memory
-- ``events``: what an event of a set costs beside its answer, and the second process
+- ``events``: what an event of a set costs beside its answer; the second process, the second machine
 - ``models``: models at their accuracy, on every fourth real video (``--every``)
 
 Seconds depend on the machine, so the first line measures it: a loop of Python, and one transition
@@ -216,11 +216,34 @@ def events(options: Any) -> dict[str, Any]:
             )
             seconds[workers] = time.perf_counter() - began
     found["second_process"] = seconds[1] / seconds[2]
+    found["second_machine"] = seconds_by_dask(one, 1) / seconds_by_dask(one, 2)
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**10
     found["largest_process_mb"] = children
     if options.figure:
         draw(found["ms_an_event"], options.figure)
     return found
+
+
+def seconds_by_dask(event: ppl.Event, machines: int) -> float:
+    """Seconds for twelve events on a cluster whose workers have a core each."""
+    from dask.distributed import Client, LocalCluster
+
+    def keep_to_a_core(dask_worker: Any) -> None:
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(dask_worker.name) % len(cores)]})
+
+    with (
+        LocalCluster(n_workers=machines, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        client.run(keep_to_a_core)
+        given: dict[str, Any] = {"executor": client.get_executor(), "progress": False}
+        # each worker loads what is compiled
+        ppl.evaluate(named(event, machines), closed_loop(1), out=f"{folder}/first", **given)
+        began = time.perf_counter()
+        ppl.evaluate(named(event, 12), closed_loop(1), out=f"{folder}/all", **given)
+        return time.perf_counter() - began
 
 
 def named(event: ppl.Event, n: int) -> list[ppl.Event]:
