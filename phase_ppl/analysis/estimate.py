@@ -138,7 +138,8 @@ class Estimate(float):
 
     Attributes:
         error: standard error; NaN: unknown, printed as 0.83 ± unknown.
-        why: why value or error are unknown, printed behind them; "": they are not, or none is told.
+        why: why the value or the error is unknown, printed after the number; "": no reason is
+            given.
     """
 
     error: float
