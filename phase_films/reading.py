@@ -60,14 +60,11 @@ class VideoReading:
         )
 
     def picture(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG to check the reading by eye: film frames with the bodies drawn on them.
+        """Write a PNG to ``path`` to check the reading by eye: film frames, bodies drawn on them.
 
         Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the
         bodies' paths since the frame of the panel before. The text below a panel names the frame,
         and the body with the least confidence in it.
-
-        Args:
-            path: the file, ending in .png.
 
         Raises:
             OutputError: the file cannot be written, or its name does not end in .png.

@@ -64,11 +64,7 @@ class FittedObserver:
 
     @ppl.tracing()
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
-        """Return question -> (draw, event, answer) expected share of people who give that answer.
-
-        Args:
-            evidence: the evidence about the events (:func:`phase_ppl.evidence_from`).
-        """
+        """Return question -> (draw, event, answer) expected shares of people, given evidence."""
 
         def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
             def of_one(draw: dict[str, Array]) -> dict[str, Array]:
@@ -86,11 +82,7 @@ class FittedObserver:
         return {question: np.asarray(values, np.float64) for question, values in found.items()}
 
     def predict(self, evidence: Evidence) -> dict[str, ppl.Prediction]:
-        """Return event id -> prediction: expected shares of people's answers (mean over draws).
-
-        Args:
-            evidence: the evidence about the events (:func:`phase_ppl.evidence_from`).
-        """
+        """Return event id -> prediction of people's answers, given evidence: a mean over draws."""
         return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -156,15 +148,11 @@ class FittedObserver:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
-        """Read a file that :meth:`save` wrote.
-
-        Args:
-            path: the file.
-            observer: the observer's program; needed unless it is a ready-made one.
+        """Read a file that :meth:`save` wrote; ``observer`` is as for :meth:`from_dict`.
 
         Raises:
-            InvalidEventError, InvalidSettingError, UnknownNameError: as for :meth:`from_dict`; also
-                if there is no such file.
+            InvalidEventError: there is no such file, or it holds no fitted observer.
+            InvalidSettingError, UnknownNameError: as for :meth:`from_dict`.
         """
         return cls.from_dict(ppl.read_json(path), observer)
 

@@ -251,9 +251,6 @@ class Design:
     def at_random(self, n: int) -> pd.DataFrame:
         """Return the joint information of the first 1 to ``n`` events of a random order.
 
-        Args:
-            n: number of events, at least 1.
-
         Returns:
             A row per number of events, over 100 random orders: ``information``, the mean joint
             information in nats; ``low`` and ``high``, its 5 % and 95 % quantiles; ``right``, how

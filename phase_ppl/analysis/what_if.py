@@ -156,8 +156,7 @@ class WhatIf(Printed):
         Simulations are paired: both of a pair have the same hypothesis and seed.
 
         Args:
-            agent: name of the agent, such as "red agent", or the first word of the name.
-            goal: a goal of the agent; by default its goal in each unchanged hypothesis.
+            agent, goal: the agent and its goal, as in :meth:`reached`.
 
         Raises:
             InvalidSettingError: nothing was changed.

@@ -60,10 +60,10 @@ if TYPE_CHECKING:
 def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of goals against people's, by true scenario.
 
-    In other worlds than PHASE they are by agent.
+    In other worlds than PHASE points are by agent.
 
     Raises:
-        NothingToDrawError: nobody judged what a model gives probabilities for.
+        NothingToDrawError: nobody judged a goal that a model gives probabilities for.
     """
     results = opened(source)
     clouds: dict[Source, pd.DataFrame] = {}
@@ -117,12 +117,12 @@ _PARTS: Final = ("relation_r", "relation_r_given_truth")
 def people(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's shares.
 
-    Each model has a row of two panels. The first shows probabilities against shares, the second
-    the same minus the mean over events of the same true relation. Above them is r with its
-    interval.
+    Each model has a row of two panels. The first shows probabilities against people's shares; in
+    the second, both are minus their mean over events of the same true relation. Above a panel is r
+    with its interval.
 
     Raises:
-        NothingToDrawError: nobody judged relations to which a model gives probabilities.
+        NothingToDrawError: nobody judged a relation that a model gives probabilities for.
     """
     results = opened(source)
     shown = [o for o in results.sources if o.kind != "people" and o.metrics.get("doubt")][:_MODELS]
