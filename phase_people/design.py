@@ -42,23 +42,23 @@ def design(
     """Return how much people's answers are expected to tell which of several models is right.
 
     People are assumed to answer as one of the models predicts. The expected information is the
-    mutual information between that model and the answers, in nats. For one answer it is the
-    Jensen-Shannon divergence of the models' predictions. Its error is NaN (printed ``unknown``) if
-    some prediction has no error; predictions of exact models have errors of 0.
+    mutual information between this model and people's answers, in nats. For one answer it is the
+    Jensen-Shannon divergence of the models' predictions. The information's error is NaN (printed
+    ``unknown``) if some prediction has no error; predictions of exact models have errors of 0.
 
     Args:
         events: an event file, a folder of event files or of a generated data set, or events.
-        models: label -> model, at least two; a list of names has the names as labels. A model that
-            makes predictions itself: a name (:func:`phase_ppl.available_models`), a
+        models: label -> model, at least two; a list of names has the names as labels. Models of
+            one kind predict by themselves: a name (:func:`phase_ppl.available_models`), a
             :class:`phase_ppl.Model`, a function ``(scene, observation, seed)``, an evaluation or
-            its folder, or event id -> posterior or prediction. A model that changes the posteriors
-            of ``source``: a prior, by name or as a program, or a fitted observer.
+            its folder, or event id -> posterior or prediction. Models of another kind change the
+            posteriors of ``source``: a prior, by name or as a program, or a fitted observer.
         question: "relation", "goal_red" or "goal_green"; in other worlds than PHASE a question of
             :func:`phase_ppl.questions_of`. If every model gives posteriors, any other quantity with
             categories.
-        source: what gives the posteriors for priors and observers: a model that makes predictions
-            itself, as above. It is asked once. Stored posteriors save that time: an evaluation or
-            its folder, or event id -> posterior.
+        source: what gives the posteriors for priors and observers: a model of the first kind. It is
+            asked once. Stored posteriors save that time: an evaluation or its folder, or event id
+            -> posterior.
         answers: number of people who are asked about each event.
         lapse: probability that a person answers at random.
         prior: label -> prior probability of that model, to be normalised; by default all are equal.

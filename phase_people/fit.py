@@ -305,7 +305,7 @@ class PeopleFit(FittedObserver):
 
     @functools.cached_property
     def left_out(self) -> dict[str, ppl.Prediction]:
-        """Event id -> prediction of people's answers about it, by the fit to all other videos.
+        """Event id -> prediction of people's answers, by the fit to all other videos.
 
         Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
         Statistics and Computing 27). Where :attr:`pareto_k` exceeds 0.7, the observer is fitted

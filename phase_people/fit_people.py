@@ -52,6 +52,7 @@ def fit_people(
             so nothing is computed twice. A mapping event id -> posterior or prediction is used as
             it is. So is evidence (:func:`phase_ppl.evidence_from`). None: surface cues alone.
         perception: noise of several readings of each video; the model is asked about each reading.
+            None: no noise.
         moments: fit to judgments made at moments of the films, not to those of whole films. Each
             moment counts as a video that ends there. So intervals are too narrow where people give
             the same answer at several moments. Response times do not count. The model must give
@@ -134,6 +135,7 @@ def evidence_from(
         events: events of PHASE.
         source: what gives the evidence, as in :func:`fit_people`. None: surface cues alone.
         perception: noise of several readings of each video; the model is asked about each reading.
+            None: no noise.
         **options: passed to :func:`phase_ppl.evaluate` when a model is asked.
 
     Raises:

@@ -260,10 +260,10 @@ class Perception:
 
 
 def leak(belief: Belief, evidence: Evidence) -> Belief:
-    """Let evidence fade with time, by the parameter ``leak`` from 0 (it stays) to 2 (in 10 frames).
+    """Let evidence fade: the parameter ``leak`` goes from 0 (never) to 2 (it halves in 10 frames).
 
-    It interpolates between the half-lives of :data:`HALF_LIVES`. It reads the original evidence,
-    and so must be the first part of an observer.
+    Between whole numbers it interpolates the evidence at the half-lives of :data:`HALF_LIVES`. It
+    reads the original evidence, and so must be the first part of an observer.
     """
     most = len(HALF_LIVES) - 1
     place = numpyro.sample("leak", dist.Uniform(0, most))
@@ -278,7 +278,7 @@ def weight(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def saturation(belief: Belief, evidence: Evidence) -> Belief:
-    """Let evidence between relations saturate: none is more than ``most_evidence`` nats behind."""
+    """Let evidence saturate: no relation's is more than ``most_evidence`` nats below the best."""
     most = numpyro.sample("most_evidence", dist.LogNormal(math.log(3.0), 0.7))
     prior = log_shares(belief.prior, evidence, "relation")
     found = log_shares(belief.likelihood + belief.prior, evidence, "relation") - prior
@@ -290,9 +290,9 @@ def saturation(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def prior(belief: Belief, evidence: Evidence) -> Belief:
-    """Add people's own prior over relations: ``prior_friendly`` and ``prior_neutral``, in nats.
+    """Add people's own prior: ``prior_friendly`` and ``prior_neutral``, nats beyond the model's.
 
-    They are added to the model's prior; "adversarial" gets 0.
+    "adversarial" gets 0.
     """
     friendly = numpyro.sample("prior_friendly", dist.Normal(0.0, 1.0))
     neutral = numpyro.sample("prior_neutral", dist.Normal(0.0, 1.0))

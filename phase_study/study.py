@@ -284,10 +284,7 @@ class Study(Served):
     # --- results ----------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """Return how many people came, how far they got, and how often each video was judged.
-
-        The result has ``counts`` and ``viewings`` (:class:`~phase_study.exports.Status`); print it.
-        """
+        """Return how many people came, how far they got, and how often each video was judged."""
         with self.store() as store:
             return exports.status(store, self.settings)
 
@@ -332,9 +329,7 @@ class Study(Served):
     def exclude(self, participant: str, reason: str) -> None:
         """Exclude a participant from exports, and give that person's videos to others.
 
-        Args:
-            participant: the participant's name in the database and in exports.
-            reason: why, as a text that is kept.
+        ``reason`` is a text that is kept.
 
         Raises:
             UnknownNameError: there is no such participant.

@@ -68,8 +68,9 @@ class Comparison(Printed):
 
     Attributes:
         runs: a row per kernel and repeat: ``kernel`` (its label), ``repeat``, ``seed`` (with it
-            ``infer`` gives this run), ``validity`` ("exact", "consistent", "approximate" or
-            "unknown"), and the measures of :data:`MEASURES`; NaN: the run has no such measure.
+            ``infer`` gives this run), ``validity`` (of the kernel, see
+            :func:`phase_ppl.register_kernel`), and the measures of
+            :data:`~phase_ppl.analysis.comparison.MEASURES`; NaN: the run has no such measure.
         curve: accuracy of each run by number of simulations: ``kernel``, ``repeat``,
             ``simulations``, ``frames``, and the measures of
             :func:`~phase_ppl.analysis.comparison.accuracy`.

@@ -223,8 +223,9 @@ class EventPosterior(Hypotheses):
         """Return the log odds of ``event`` by frame: which frames are evidence for it.
 
         Args:
-            event: conditions in words, such as ``"goal_red=get to green agent"`` or ``"strength_red
-                > strength_green, not relation=friendly"`` (:mod:`phase_ppl.analysis.query`).
+            event: conditions in words, such as ``"goal_red=get to green agent"`` or
+                ``"strength_red > strength_green, not relation=friendly"``
+                (:mod:`phase_ppl.analysis.query`).
             over: conditions to compare with; by default that ``event`` is false.
 
         Returns:
@@ -342,9 +343,9 @@ class EventPosterior(Hypotheses):
         """Return the posterior under another prior; nothing is simulated or searched again.
 
         The closed loop's posterior has all hypotheses, so the result equals a new run, with one
-        exception. The old prior chose which pairs of goals got all searches; for the others errors
+        exception. The old prior chose which pairs of goals got all searches; for other pairs errors
         are too small. A sampled posterior is reweighted by the ratio of the priors over its
-        simulations. The effective size is then in its ``settings`` and is printed.
+        simulations. The result's ``settings`` then have the effective size, which is also printed.
 
         Args:
             prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made prior
@@ -395,8 +396,8 @@ class EventPosterior(Hypotheses):
             The answers, an array with the dim ``value``, with their ``error``.
 
         Example:
-            ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with ``def related(p):
-            ...`` that samples ``alpha`` and the rest.
+            ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
+            ``def related(p): ...`` that samples ``alpha`` and the rest.
 
         Raises:
             InvalidSettingError: too little was simulated for a prior, or the answer is no number.
@@ -460,8 +461,8 @@ class EventPosterior(Hypotheses):
             seed: seed of draws and simulations, a whole number >= 0.
             workers: number of processes; by default one per usable core.
             simulator: the simulator; needed if the run had a simulator of your own.
-            **changed: ``goal_<agent>``: the effective goal of that agent, as in ``goal_red="get to
-                green agent"``; the other agents know it and keep their goals.
+            **changed: ``goal_<agent>``: the effective goal of that agent, as in
+                ``goal_red="get to green agent"``; the other agents know it and keep their goals.
                 ``stated_goal_<agent>``: its stated goal; agents that help or hinder it follow.
                 ``strength_<agent>``: its strength in newtons.
 

@@ -179,9 +179,9 @@ class Hypotheses(Printed):
         return self._rows
 
     def by_frame(self) -> xr.Dataset | None:
-        """Return how each frame changes the odds of all agents' goals; None: unknown.
+        """Return how each frame changes the log odds of all agents' goals; None: unknown.
 
-        The closed loop knows it, unless the world has too many hypotheses for a table.
+        This is known for the closed loop, unless the world has too many hypotheses for a table.
 
         Returns:
             In PHASE ``log_likelihood`` (time, goal_red, goal_green), the log likelihood of a frame,
@@ -249,9 +249,9 @@ class Hypotheses(Printed):
         return of._number(estimate.share, of._satisfied(event), given)
 
     def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
-        """Return the ``n`` most probable labels of a quantity with probabilities, highest first.
+        """Return the ``n`` most probable labels of a quantity, each with its probability.
 
-        Ties are in label order. ``n`` is at least 1.
+        The most probable is first; ties are in label order. ``n`` is at least 1.
         """
         n = whole_number("n", n)
         found = with_errors(self.marginal(name, given=given))

@@ -60,8 +60,9 @@ class Posterior(EventPosterior):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: how hypotheses are weighted: "count" or "stratified"
-            (``phase_ppl.analysis.weights`` says when each is valid); None: the run's default.
+        weights: what is weighted: "count", the draws, as the kernel weights them; or "stratified",
+            all simulations (see the glossary). ``phase_ppl.analysis.weights`` says when each is
+            valid. None: the run's default.
         burn_in: number of first draws of each chain that do not count. None: the run's default, a
             quarter if chains have twenty or more draws, else 0. Weights "stratified" ignore it:
             they use all simulations.
@@ -284,9 +285,10 @@ class Posterior(EventPosterior):
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
 
-        All simulations count, accepted or not. The simulator is noisy, so this is the best single
-        simulation. The hypothesis' goals are stated goals; the simulator got its
-        ``.effective_goals``, which decide ``.relation`` and ``.scenario``.
+        The log joint is log prior + log likelihood. All simulations count, accepted or not. The
+        simulator is noisy, so this is the best single simulation. The hypothesis' goals are stated
+        goals; the simulator got its ``.effective_goals``, which decide ``.relation`` and
+        ``.scenario``.
 
         Returns:
             A :class:`phase_ppl.Hypothesis`.

@@ -281,7 +281,7 @@ class StepwisePosterior(EventPosterior):
         explains the video better. Do not compare priors that differ in strengths by it. Differences
         tend to be too large, because a model that errs does so for many frames in a row.
 
-        Its error is by the jackknife over sets of searches; NaN with one set.
+        The error is by the jackknife over sets of searches; NaN with one set.
         """
         return self._table.log_evidence(self._frame)
 

@@ -296,7 +296,7 @@ def calibrate(
         resume: whether to continue in ``out``, if it holds a calibration; ``n`` may be larger.
             Videos are drawn again, which takes little time.
         workers, executor, progress: as in :func:`phase_ppl.evaluate`.
-        seed: a whole number >= 0. Equal seeds give equal videos and answers.
+        seed: seed of videos and answers, a whole number >= 0.
         **options: options of :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
 
     Raises:

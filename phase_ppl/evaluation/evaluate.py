@@ -120,9 +120,9 @@ def evaluate(
             * A :class:`phase_ppl.Model`. :func:`phase_ppl.infer` runs it with the closed loop, or
               with the kernel that ``kernel=...`` names.
             * A function ``(scene, observation, seed)``. It returns a :class:`phase_ppl.Prediction`,
-              a posterior or a mapping such as ``{"goal_red": {"get to green agent": 0.9, ...},
-              "relation": "friendly"}``. :func:`phase_ppl.questions_of` has the keys in other
-              worlds.
+              a posterior or a mapping such as
+              ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``.
+              :func:`phase_ppl.questions_of` has the keys in other worlds.
         out: folder to keep all results in (:mod:`phase_ppl.evaluation.folder`), event by event; by
             default nothing is kept.
         workers: largest number of processes; by default one per usable core. With 1 the model runs

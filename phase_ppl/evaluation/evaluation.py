@@ -255,8 +255,8 @@ def compare_models(
         margin: largest difference between the shares of right answers of a model and of people at
             which they count as equivalent.
         seed: seed of the resamples of the events, a whole number >= 0.
-        resamples: number of resamples of the events, for differences and equivalence; by default 10
-            000. Metrics have 1000, as in the paper.
+        resamples: number of resamples of the events, for differences and equivalence; by default
+            10 000. Metrics have 1000, as in the paper.
 
     Raises:
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations are

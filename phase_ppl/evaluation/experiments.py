@@ -85,11 +85,10 @@ class Tags:
         return counts.div(self.viewers, axis=0)
 
     def summary(self) -> pd.DataFrame:
-        """Return a row per label: how many videos it describes.
+        """Return a row per label: ``percent``, share of videos in its category, and ``used``.
 
-        ``percent``: percentage of videos of which at least half of the viewers chose the label,
-        which makes it a category of the video (paper). ``used``: number of videos for which anybody
-        chose it.
+        A video is in a label's category if at least half of its viewers chose the label (paper).
+        ``used`` is the number of videos for which anybody chose it.
         """
         categories = self.shares >= MAJORITY
         return pd.DataFrame({"percent": 100 * categories.mean(), "used": (self.shares > 0).sum()})

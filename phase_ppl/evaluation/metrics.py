@@ -302,15 +302,15 @@ def human_accuracy(events: Sequence[Event]) -> dict[str, Any]:
 
     Returns:
         ``n_events``: number of events that count. ``goal_accuracy`` and ``relation_accuracy``: mean
-        over events of the share of people who are right, with Clopper and Pearson's 95 % interval
-        for the effective number of independent answers (answers about one event are dependent).
-        ``by_scenario``: true scenario -> both accuracies and ``n``, the number of events. In other
-        worlds than PHASE ``by_agent``: agent -> goal accuracy, and ``by_pair``: pair, such as "red
-        & green" -> relation accuracy. ``majority``: these accuracies for the answer that most
-        people gave (of equals the first in label order). ``by_participant``: what
-        :func:`participant_accuracy` returns; None if it is unknown who gave which answer.
-        ``scripted``: True, if people were scripted in a rehearsal of a study; else the key is
-        missing.
+        over events of the share of people who are right, as ``value`` with a 95 % interval
+        ``ci_low`` to ``ci_high``. The interval is Clopper and Pearson's for the effective number of
+        independent answers (answers about one event are dependent). ``by_scenario``: true scenario
+        -> both accuracies and ``n``, the number of events. In other worlds than PHASE ``by_agent``:
+        agent -> goal accuracy, and ``by_pair``: "red & green" and the like -> relation accuracy.
+        ``majority``: these accuracies for the answer that most people gave (of equals the first in
+        label order). ``by_participant``: what :func:`participant_accuracy` returns; None if it is
+        unknown who gave which answer. ``scripted``: True, if people were scripted in a rehearsal of
+        a study; else the key is missing.
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.

@@ -51,7 +51,7 @@ def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return question about a relation -> the names of the two agents, for a world."""
+    """Return question about a relation -> the names of its two agents, for a world."""
     found = {
         name: (world.agents[one], world.agents[other])
         for name, (one, other) in space_of(world).relation_names.items()
@@ -227,7 +227,7 @@ class Prediction:
 
     @property
     def scenario(self) -> str | None:
-        """Scenario of the two goals answered, in PHASE; None: a goal is missing, or no PHASE."""
+        """Scenario of the two goals answered; None: a goal is missing, or the world is no PHASE."""
         answered = self.answers.keys() >= {*GOAL_QUESTIONS.values()}
         if not (space_of(self.world).scenario_names and answered):
             return None
@@ -268,9 +268,7 @@ class Prediction:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], world: World = PHASE) -> Prediction:
-        """Read what :meth:`to_dict` wrote, about an event of ``world``.
-
-        Answers of probability 0 may be left out.
+        """Read what :meth:`to_dict` wrote about an event of ``world``; answers left out get 0.
 
         Raises:
             InvalidEventError, UnknownNameError: a field is missing or of another type, or

@@ -96,8 +96,8 @@ class Judgments:
         """Return the judgments that an event carries; None: nobody judged it.
 
         Raises:
-            InvalidEventError, UnknownNameError: they cannot be read, as for :meth:`from_record`;
-                the message names the event.
+            InvalidEventError, UnknownNameError: the judgments cannot be read, as for
+                :meth:`from_record`; the message names the event.
         """
         if event.judgments is None:
             return None

@@ -59,7 +59,7 @@ class Answer(NamedTuple):
 
     @classmethod
     def of(cls, given: object) -> Self:
-        """Return what a model gave as an answer; a posterior becomes a file of it, too."""
+        """Return what a model gave as an answer; a posterior is also kept as a file."""
         if isinstance(given, cls):
             return given
         if isinstance(given, EventPosterior):
@@ -142,8 +142,8 @@ def register_model(
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that registers a factory of models under ``name``.
 
-    The factory is a function ``factory(**options)`` that returns a model: a function ``(scene,
-    observation, seed)``. The first line of its documentation describes the model.
+    The factory is a function ``factory(**options)`` that returns a model: a function
+    ``(scene, observation, seed)``. The first line of its documentation describes the model.
 
     Args:
         name: name by which users call the model.
@@ -272,7 +272,7 @@ class Onlooker(Protocol):
     def record(self) -> Mapping[str, Any]: ...
 
     def seeing(self, model: Predict, world: World) -> Predict:
-        """Return a model as one that answers like a person who watches; ``world`` is the events'."""
+        """Return ``model``, changed to answer as a person who watches events of ``world``."""
 
 
 def seen_through(
