@@ -286,10 +286,10 @@ def accuracy(
 
     Keys:
 
-    * ``tv_goals``: total variation between the marginals of a goal and the reference's, mean over
-      the agents; ``tv_relation``: the same for relations, mean over the pairs.
-    * ``p_pair``: probability of the true effective goals of all agents; ``p_goals``: of an agent's
-      true goal, mean over agents; ``p_relation``: of a true relation, mean over pairs.
+    * ``tv_goals``: total variation between a goal's marginal and the reference's, mean over
+      agents; ``tv_relation``: total variation between a relation's marginals, mean over pairs.
+    * ``p_pair``: joint probability of all agents' true effective goals; ``p_goals``: probability
+      of an agent's true goal, mean over agents; ``p_relation``: of a true relation, over pairs.
     * ``map_goals``: share of agents whose most probable goal is the true one; ``map_relation``:
       share of pairs whose most probable relation is the true one.
     """
@@ -327,16 +327,16 @@ def efficiency(post: Posterior) -> dict[str, float]:
 
     Keys:
 
-    * ``draws``: the rows that the answers rest on, such as the last population of ``smc``.
+    * ``draws``: number of rows that answers rest on, such as the last population of ``smc``.
     * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which
       effective goals changed.
-    * ``distinct``: hypotheses among the draws.
-    * ``r_hat``: the worst of the log joint, strengths, goals and relations.
+    * ``distinct``: number of different hypotheses among the draws.
+    * ``r_hat``: the worst R-hat of the log joint, strengths, goals and relations.
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
-      sum of their squared weights. ``ess_per_second``: the same by ``seconds``.
-    * ``simulations``, their ``frames``, and ``seconds`` of wall time. If proposals need a reading
-      of the video before the first simulation, its time counts.
+      sum of their squared weights. ``ess_per_second``: this size divided by ``seconds``.
+    * ``simulations``: their number, with their ``frames``, and ``seconds`` of wall time. If
+      proposals need a reading of the video before the first simulation, its time counts.
     """
     found, weight = post.diagnostics(), post.table.weights
     simulations, moves = int(post.cost["simulations"]), found["move_rate"]

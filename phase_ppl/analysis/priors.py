@@ -140,7 +140,7 @@ def summary(
 
     Goals are effective goals. So it shows what a prior over stated goals and ``alpha`` comes to.
     For example, help and harm of 3 : 1 in ``alpha`` come to less in the relation, since goals also
-    agree and clash by chance. Strengths are at the levels of the closed loop.
+    agree and clash by chance. Strengths are at the closed loop's levels (``Tracking.strengths``).
 
     Args:
         prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made prior

@@ -54,8 +54,8 @@ _SHOWN: Final = 3  # goals of an agent that are printed
 class WhatIf(Printed):
     """Simulations of hypotheses drawn from a posterior, unchanged and perhaps with a change.
 
-    There is one world, "as it is", or a second, "changed". Errors come from the number of
-    simulations only; the posterior's own error is not included.
+    The axis ``world`` has "as it is" and, if there was a change, "changed". Errors come from the
+    number of simulations only; the posterior's own error is not included.
 
     Attributes:
         event_id: id of the event.

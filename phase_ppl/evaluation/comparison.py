@@ -297,7 +297,7 @@ class ModelComparison(Printed):
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> ModelComparison:
-        """Read a comparison that :meth:`save` wrote; all numbers follow from its answers.
+        """Read a comparison that :meth:`save` wrote; numbers are computed anew from its answers.
 
         Raises:
             InvalidEventError: there is no such folder, or a file in it is damaged.
@@ -417,7 +417,7 @@ def differences_of(
 ) -> list[Row]:
     """Return paired differences between models' scores, for every pair and measure.
 
-    With ``against`` the others are compared with that model alone. All pairs have the same
+    With ``against`` the other models are compared with this model alone. All pairs have the same
     resamples of the events.
 
     Returns:

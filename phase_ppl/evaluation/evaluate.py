@@ -134,7 +134,7 @@ def evaluate(
             not predicted again, failed events are. Settings and events must be the same. Further
             events may be added; truth and judgments may have changed.
         limit: number of events to ask about, the first in the order given; by default all.
-        seed: seed of the model and of the metrics, a whole number >= 0.
+        seed: the seed that the events' seeds follow from, a whole number >= 0.
         judgments: people's judgments, in place of those in the events: a file
             (:func:`phase_ppl.load_judgments`) or a study.
         progress: whether to show a bar on stderr; by default if stderr is a terminal.

@@ -180,7 +180,7 @@ _ROW: Final = 19
 def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     """Write the video with the closed loop's posterior at each frame beside it, as MP4.
 
-    For each agent it shows the goals that have the highest probabilities at any time of the video,
+    The film shows the relations and each agent's goals with the highest probabilities at any time,
     up to six with two agents. Thin lines reach one standard error to either side.
 
     Args:

@@ -138,7 +138,7 @@ def train_socialgnn(
         out: folder for the networks and the report (``extended.npz``, ``extended.json``).
         seeds: number of networks.
         seed: seed of the first network; the other networks have the seeds that follow.
-        settings: how each network is trained; None: as usual.
+        settings: how each network is trained; None: the default ``TrainingSettings``.
         progress: whether to show a bar on stderr; None: if stderr is a terminal.
 
     Returns:
