@@ -36,12 +36,13 @@ _ROUNDS: Final = 2  # of sizes and places
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class VideoReading:
-    """An event read from a film, and how well it matches.
+    """An event read from a film, and how well the reading matches the pictures.
 
     Attributes:
-        event: scene and observation; nothing else is known.
-        confidence: (time, entity) from 0 to 1: how far the body and the pixels of its colour agree,
-            lower if most of it is covered. 0 if it was lost and its place is interpolated.
+        event: the event. It has a scene and an observation, and no truth.
+        confidence: (time, entity) numbers from 0 to 1: how far the body as read and the pixels of
+            its colour agree. A body that is mostly covered gets a lower one. 0: the body was lost
+            in that frame, and its place is interpolated.
     """
 
     event: ppl.Event
@@ -59,10 +60,14 @@ class VideoReading:
         )
 
     def picture(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG to check by eye: frames of the film, and the reading drawn over them.
+        """Write a PNG to ``path`` to check the reading by eye: film frames, bodies drawn on them.
 
         Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the
-        paths since the picture before. The text below has the frame and its least confidence.
+        bodies' paths since the frame of the panel before. The text below a panel names the frame,
+        and the body with the least confidence in it.
+
+        Raises:
+            OutputError: the file cannot be written, or its name does not end in .png.
         """
         painter, frames = ppl.render.Painter(self.event.scene), sorted(self._pictures)
         with ppl.files.atomic_output(path, (".png",)) as part:
@@ -125,26 +130,27 @@ def read_video(
     max_gap: int = 6,
     progress: bool | None = None,
 ) -> VideoReading:
-    """Read an event from a film in the look of the package's own (:func:`render.video`).
+    """Read an event from a film that looks like the package's own films (:func:`render.video`).
 
-    Colours identify the bodies; fitting their shapes to the pixels gives the poses. The film may
-    be compressed, of any size, cut or with bars beside it, as long as the arena's border shows. The
-    angle of an item cannot be seen: it is the scene's at the start, or 0.
+    Colours identify the bodies; fitting their shapes to the pixels gives the poses. The film may be
+    compressed, of any size, cut, or have bars beside the arena, as long as the arena's border
+    shows. An item's angle cannot be seen: it is the scene's angle at the start, or 0 without a
+    scene.
 
     Args:
         path: an .mp4, a .gif, or any other file that ffmpeg reads.
-        scene: the scene of the film: its world, walls and sizes. It is kept as given.
-        layout: the world, or its name, such as "phase", if the scene is unknown. Walls, landmarks,
-            sizes and starts are then read from the picture. In PHASE, ``turning`` is inferred
-            from the turns seen, else "both".
-        frames_per_step: frames of the film per frame of the event, a twelfth of a simulated
-            second. Default: a quarter of a second of the film, as in films of the package. Bodies
-            are taken to move straight between two frames of the film.
+        scene: the scene that the film shows: its world, walls and sizes. It is kept as given.
+        layout: a world or its name, such as "phase", if the scene is unknown. Walls, landmarks,
+            sizes and starts are then read from the picture. In PHASE the scene's ``turning`` (which
+            way agents can turn) is inferred from the turns seen; "both" if none are.
+        frames_per_step: frames of the film per frame of the event; a frame of the event is 1/12 s
+            of simulated time. Default: a quarter of a second of the film, as in the package's
+            films. Bodies are taken to move straight between two frames of the film.
         start: seconds of the film before the event begins, such as those of a still picture. For
             the films of PHASE's authors use 0.1, as their pictures show fifths of a step.
-        max_gap: most frames of the event in a row in which a body may be lost; its places there
-            are interpolated.
-        progress: whether to show a progress bar; None: where stderr is a terminal.
+        max_gap: largest number of successive frames of the event in which a body may be lost; its
+            places there are interpolated.
+        progress: whether to show a progress bar; None: if stderr is a terminal.
 
     Returns:
         The event, with a confidence for every frame and body.
@@ -152,9 +158,9 @@ def read_video(
     Raises:
         InvalidEventError: the file is missing or no video; the arena, a colour or a body is not
             found; or the film shows another scene. The message names what and where.
-        InvalidSettingError: neither or both of ``scene`` and ``layout``, indistinguishable
-            colours, or an impossible setting.
-        UnknownNameError: there is no ready-made world of that name.
+        InvalidSettingError: neither or both of ``scene`` and ``layout`` are given, colours are
+            indistinguishable, or a number is out of range.
+        UnknownNameError: no ready-made world has the name in ``layout``.
     """
     assumed, world = _scene_or_layout(scene, layout)
     ppl.errors.nonnegative_number("start", start)

@@ -39,37 +39,39 @@ def design(
     progress: bool | None = None,
     **options: Any,
 ) -> Design:
-    """Return the expected information of answers to each event, about which model is right.
+    """Return how much people's answers are expected to tell which of several models is right.
 
-    It is the mutual information between the model by which people answer and their answers. For a
-    single answer it is the Jensen-Shannon divergence of the models' predictions. Its error is
-    unknown (NaN, printed ``?``) if a model's prediction gives none; an exact model gives errors
-    of 0.
+    People are assumed to answer as one of the models predicts. The expected information is the
+    mutual information between this model and people's answers, in nats. For one answer it is the
+    Jensen-Shannon divergence of the models' predictions. The information's error is NaN (printed
+    ``unknown``) if some prediction has no error; predictions of exact models have errors of 0.
 
     Args:
-        events: an event file, a folder of them or of a generated data set, or events.
-        models: label -> model: a name, a :class:`phase_ppl.Model`, a function ``(scene,
-            observation, seed)``, an evaluation or its folder, or event id -> posterior or
-            prediction. Also a prior, by name or as a program, or a fitted observer; these take
-            the posteriors of ``source``. A list of names has the names as labels.
-        question: "relation", "goal_red", "goal_green"; in other worlds those of its agents and
-            pairs. If all have posteriors, any other quantity with categories.
-        source: source of the posteriors for priors and observers, any of the kinds of model above;
-            it is asked once. Stored posteriors save the time: an evaluation or its folder, or
-            event id -> posterior.
+        events: an event file, a folder of event files or of a generated data set, or events.
+        models: label -> model, at least two; a list of names has the names as labels. Models of
+            one kind predict by themselves: a name (:func:`phase_ppl.available_models`), a
+            :class:`phase_ppl.Model`, a function ``(scene, observation, seed)``, an evaluation or
+            its folder, or event id -> posterior or prediction. Models of another kind change the
+            posteriors of ``source``: a prior, by name or as a program, or a fitted observer.
+        question: "relation", "goal_red" or "goal_green"; in other worlds than PHASE a question of
+            :func:`phase_ppl.questions_of`. If every model gives posteriors, any other quantity with
+            categories.
+        source: what gives the posteriors for priors and observers: a model of the first kind. It is
+            asked once. Stored posteriors save that time: an evaluation or its folder, or event id
+            -> posterior.
         answers: number of people who are asked about each event.
         lapse: probability that a person answers at random.
-        prior: label -> prior probability of each model; by default equal.
-        seed: of the models, and of simulated answers, which tell what several events say.
-        workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
+        prior: label -> prior probability of that model, to be normalised; by default all are equal.
+        seed: seed of the models, and of the simulated answers that estimate joint information.
+        workers, progress, **options: passed to :func:`phase_ppl.evaluate` when a model is asked.
 
     Example:
         ``found = ppl.design(events, ["uniform", "sparse_social"], source="runs")``, then
         ``found.best(5)`` and ``found.plot()``
 
     Raises:
-        InvalidSettingError, UnknownNameError: an unusable model, question or setting.
-        InvalidEventError: events cannot be read, or a model failed at one.
+        InvalidSettingError, UnknownNameError: a model, question or setting cannot be used.
+        InvalidEventError: events cannot be read, or a model failed at an event.
     """
     chosen = ppl.all_events(events)
     named = models if isinstance(models, Mapping) else {name: name for name in models}

@@ -49,11 +49,11 @@ class FittedObserver:
     """An observer with posterior draws of its parameters; it predicts people's answers.
 
     Attributes:
-        observer: the program.
-        name: of a ready-made observer; "" for another one.
-        draws: parameter -> (draw,).
-        questions: the questions to whose answers it was fitted.
-        perception: noise with which it sees videos; None: no noise.
+        observer: the observer's program: evidence -> question -> (event, answer) log probabilities.
+        name: name of the ready-made observer (``ppl.observers.OBSERVERS``); "": another program.
+        draws: name of a parameter -> (draw,) values.
+        questions: the questions whose answers it was fitted to.
+        perception: noise with which the observer sees videos; None: no noise.
     """
 
     observer: Program
@@ -64,7 +64,7 @@ class FittedObserver:
 
     @ppl.tracing()
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
-        """Return question -> (draw, event, answer) expected shares of people."""
+        """Return question -> (draw, event, answer) expected shares of people, given evidence."""
 
         def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
             def of_one(draw: dict[str, Array]) -> dict[str, Array]:
@@ -82,19 +82,19 @@ class FittedObserver:
         return {question: np.asarray(values, np.float64) for question, values in found.items()}
 
     def predict(self, evidence: Evidence) -> dict[str, ppl.Prediction]:
-        """Return event id -> expected answers of people, a mean over the draws."""
+        """Return event id -> prediction of people's answers, given evidence: a mean over draws."""
         return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the parameters, :data:`KEPT` draws of each, as JSON.
+        """Write the observer's name, questions and noise, and up to 200 draws, as JSON.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: the file cannot be written, or its name does not end in .json.
         """
         ppl.files.write_json(path, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return name and draws as plain data; :meth:`from_dict` gives them back."""
+        """Return what :meth:`save` writes, as plain data for :meth:`from_dict`."""
         n = len(self.draws["spread"])
         kept = np.linspace(0, n - 1, min(n, KEPT)).round().astype(int)
         draws = {
@@ -116,13 +116,13 @@ class FittedObserver:
         """Return the observer that :meth:`to_dict` wrote.
 
         Args:
-            record: of an observer.
-            observer: the program, unless it is a ready-made one.
+            record: plain data from :meth:`to_dict`.
+            observer: the observer's program; needed unless it is a ready-made one.
 
         Raises:
-            InvalidEventError: it is no such record.
+            InvalidEventError: ``record`` is no fitted observer, or is damaged.
             InvalidSettingError: the program is missing.
-            UnknownNameError: there is no such ready-made observer.
+            UnknownNameError: no ready-made observer has the name in ``record``.
         """
         if record.get("schema") != SCHEMA:
             raise ppl.errors.InvalidEventError(
@@ -148,23 +148,31 @@ class FittedObserver:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
-        """Read a file of :meth:`save`; arguments and errors as for :meth:`from_dict`."""
+        """Read a file that :meth:`save` wrote; ``observer`` is as for :meth:`from_dict`.
+
+        Raises:
+            InvalidEventError: there is no such file, or it holds no fitted observer.
+            InvalidSettingError, UnknownNameError: as for :meth:`from_dict`.
+        """
         return cls.from_dict(ppl.read_json(path), observer)
 
     @classmethod
     def named(
         cls, name: str | os.PathLike[str], model: str, world: ppl.World | None = None
     ) -> FittedObserver:
-        """Return "people", the observer that comes with the package for a model, or a file's.
+        """Return "people", the observer that comes with the package, or an observer from a file.
+
+        "people" was fitted to people's judgments of relations in 50 of PHASE's test videos.
 
         Args:
-            name: "people", or a file.
-            model: the model by which "people" is chosen.
-            world: world of the events, by default PHASE.
+            name: "people", or a file that :meth:`save` wrote.
+            model: name of the model whose answers the observer changes: "people" was fitted for
+                each model apart. It does not matter for a file.
+            world: world of the events; None: it is not checked to be PHASE.
 
         Raises:
-            InvalidSettingError: another world than PHASE, or there is no "people" for the model.
-            InvalidEventError, UnknownNameError: as for :meth:`from_dict`.
+            InvalidSettingError: the world is not PHASE, or there is no "people" for the model.
+            InvalidEventError, UnknownNameError: the file cannot be used, as for :meth:`load`.
         """
         if world is not None:
             check_is_phase(world)
@@ -180,12 +188,20 @@ class FittedObserver:
 
     @property
     def record(self) -> dict[str, Any]:
-        """All that determines how it sees a model's results, as plain data."""
+        """Name and hash of the observer, as plain data for an evaluation's settings."""
         digest = hashlib.sha256(json.dumps(self.to_dict()).encode()).hexdigest()
         return {"observer": self.name, "observer_digest": digest}
 
     def seeing(self, model: Callable[..., Any], world: ppl.World) -> Observed:
-        """Return a model seen through it; InvalidSettingError: in another world than PHASE."""
+        """Return a model whose answers are those that this observer expects of people.
+
+        Args:
+            model: a function ``(scene, observation, seed)``.
+            world: world of the events.
+
+        Raises:
+            InvalidSettingError: the world is not PHASE.
+        """
         check_is_phase(world)
         return Observed(model, self)
 
@@ -199,13 +215,15 @@ def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[s
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PeopleFit(FittedObserver):
-    """An observer fitted to people's answers by NUTS.
+    """An observer fitted to people's answers by NUTS; in ``draws`` one chain follows another.
 
     Attributes:
-        evidence, answers: the data of the fit.
-        chains: number of chains, whose draws follow each other.
-        log_likelihood: (draw, event) of all answers about a video.
-        seed, warmup: of the fit.
+        evidence: the evidence about the videos that the fit used.
+        answers: the people's answers that the fit used.
+        chains: number of chains.
+        log_likelihood: (draw, event) log likelihood of all people's answers about a video, in nats.
+        seed: seed of the fit.
+        warmup: number of warm-up steps of each chain.
     """
 
     evidence: Evidence
@@ -217,7 +235,12 @@ class PeopleFit(FittedObserver):
 
     @functools.cached_property
     def arviz(self) -> Any:
-        """The draws for ArviZ: ``az.summary``, ``az.loo``, and ``az.compare`` of several fits."""
+        """The draws for ArviZ: ``az.summary``, ``az.loo``, and ``az.compare`` of several fits.
+
+        Groups are ``posterior``, the parameters, and ``log_likelihood``, of all answers about each
+        judged video. It is an ``arviz.InferenceData`` for ArviZ before 1, otherwise an
+        :class:`xarray.DataTree`.
+        """
         shape = (self.chains, -1)
         dims = ("chain", "draw")
         posterior = {n: (dims, v.reshape(shape)) for n, v in self.draws.items()}
@@ -237,7 +260,10 @@ class PeopleFit(FittedObserver):
 
     @property
     def pareto_k(self) -> FloatArray:
-        """(event,) how far each video's answers move the draws; above 0.7 it is fitted without."""
+        """(event,) Pareto's k: how far each video's answers move the draws.
+
+        Above 0.7, :attr:`elpd` and :attr:`left_out` fit anew without the video.
+        """
         return self._left_out_weights[1]
 
     @functools.cached_property
@@ -250,7 +276,7 @@ class PeopleFit(FittedObserver):
         return {i: self.without([i]) for i in ppl.counted(self._doubtful, None, "video", what)}
 
     def without(self, places: Sequence[int]) -> PeopleFit:
-        """Return the fit to all events except those at ``places``."""
+        """Return the fit to all events except those whose indices are ``places``."""
         left_out = np.zeros(len(self.evidence.events))
         left_out[list(places)] = 1
         return sampled(
@@ -266,10 +292,10 @@ class PeopleFit(FittedObserver):
 
     @functools.cached_property
     def elpd(self) -> FloatArray:
-        """(event,) log predictive density of a video's answers, fitted without them, in nats.
+        """(event,) log predictive density of a video's answers under the fit without them, in nats.
 
-        It is estimated from the draws of this fit. Where Pareto's k exceeds 0.7, it is fitted again
-        without the video, which takes as long as this fit.
+        It is estimated from the draws of this fit. Where :attr:`pareto_k` exceeds 0.7, the observer
+        is fitted anew without the video, which takes as long as this fit.
         """
         found = self._smoothed_elpd
         for i, fit in self._refits.items():
@@ -279,10 +305,11 @@ class PeopleFit(FittedObserver):
 
     @functools.cached_property
     def left_out(self) -> dict[str, ppl.Prediction]:
-        """Event id -> prediction for a video by the fit to all others.
+        """Event id -> prediction of people's answers, by the fit to all other videos.
 
         Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
-        Statistics and Computing 27). If that is unreliable, the observer is fitted again.
+        Statistics and Computing 27). Where :attr:`pareto_k` exceeds 0.7, the observer is fitted
+        anew.
         """
         weights = self._left_out_weights[0]
         shares = {

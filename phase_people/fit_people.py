@@ -37,34 +37,36 @@ def fit_people(
 ) -> PeopleFit:
     """Fit an observer to people's answers by NUTS.
 
-    Answers of known raters are modelled by rater, which takes several times as long as numbers of
-    answers alone. Response times of a study are part of the
-    likelihood (:func:`~phase_people.answers.people`).
+    If the judgments say who gave which answer, answers are modelled by rater, which takes several
+    times as long as numbers of answers alone. Response times of a study are part of the likelihood
+    (:func:`~phase_people.answers.people`).
 
     Args:
-        events: a file or folder of events, or events.
-        judgments: a file of :func:`phase_ppl.load_judgments` or a study; by default those that the
-            events carry.
-        observer: name of a ready-made one (:data:`~phase_people.observers.OBSERVERS`),
-            or a program of evidence (:mod:`phase_people.observers`).
-        source: source of the evidence. A model by name or a :class:`phase_ppl.Model` is asked about
-            every event. An evaluation or its folder has its posteriors read, so that nothing is
-            computed twice. Also event id -> posterior or prediction; evidence; or None, for
-            surface cues alone.
-        perception: noisy readings of the videos; the model is asked about each.
-        moments: fit to judgments at moments of the films, not of whole films. Each moment counts as
-            a video of its own that ends there; so intervals are too narrow where people say the
-            same at several. Response times do not count. The model's posterior must be of the
-            closed loop, or its predictions know the moments.
-        draws, warmup, chains: of NUTS; draws and warmup are per chain.
-        seed: of NUTS, of the readings and of the model.
-        progress: whether to show progress bars. None: only in a terminal and in notebooks.
-        workers, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
+        events: an event file, a folder of event files, or events; all of PHASE.
+        judgments: a study, or a file that :func:`phase_ppl.load_judgments` reads; by default the
+            judgments that the events carry.
+        observer: name of a ready-made observer (``ppl.observers.OBSERVERS``), or a program as
+            :mod:`phase_people.observers` describes.
+        source: what gives the evidence about each event, one of five. A model, by name or as a
+            :class:`phase_ppl.Model`, is asked. An evaluation or its folder has its posteriors read,
+            so nothing is computed twice. A mapping event id -> posterior or prediction is used as
+            it is. So is evidence (:func:`phase_ppl.evidence_from`). None: surface cues alone.
+        perception: noise of several readings of each video; the model is asked about each reading.
+            None: no noise.
+        moments: fit to judgments made at moments of the films, not to those of whole films. Each
+            moment counts as a video that ends there. So intervals are too narrow where people give
+            the same answer at several moments. Response times do not count. The model must give
+            posteriors of the closed loop, or predictions with these moments.
+        draws, warmup: number of draws, and of warm-up steps before them, of each chain.
+        chains: number of chains.
+        seed: seed of the chains, of the noisy readings and of the model.
+        progress: whether to show progress bars; None: only in a terminal and in notebooks.
+        workers, **options: passed to :func:`phase_ppl.evaluate` when a model is asked.
 
     Raises:
-        InvalidEventError: nobody judged any event, or something cannot be read.
-        InvalidSettingError, UnknownNameError: an unusable setting, or events of another world than
-            PHASE.
+        InvalidEventError: nobody judged any event, or events or judgments cannot be read.
+        InvalidSettingError, UnknownNameError: a setting cannot be used, or events are of another
+            world than PHASE.
     """
     for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
         ppl.errors.whole_number(name, number)
@@ -127,7 +129,20 @@ def evidence_from(
     perception: Perception | None = None,
     **options: Any,
 ) -> Evidence:
-    """Return the evidence of observers; arguments and errors as for :func:`fit_people`."""
+    """Return the evidence that observers have about events, in one object for all.
+
+    Args:
+        events: events of PHASE.
+        source: what gives the evidence, as in :func:`fit_people`. None: surface cues alone.
+        perception: noise of several readings of each video; the model is asked about each reading.
+            None: no noise.
+        **options: passed to :func:`phase_ppl.evaluate` when a model is asked.
+
+    Raises:
+        InvalidEventError: the model failed at an event.
+        InvalidSettingError, UnknownNameError: a setting cannot be used, the source has nothing on
+            an event, or an event is of another world than PHASE.
+    """
     for judged_event in events:  # fails before a model is asked
         check_is_phase(judged_event.scene.world)
     if isinstance(source, Evidence):

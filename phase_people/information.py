@@ -60,18 +60,20 @@ def _titled(axes: Axes, title: str, note: str) -> None:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
-    """Expected information of answers to events, about which of several models is right.
+    """How much people's answers about events are expected to tell which of several models is right.
 
-    :func:`phase_ppl.design` returns one. Printed it is a table; :meth:`plot` draws it.
+    :func:`phase_ppl.design` returns one. Printed it is a table; :meth:`plot` draws it. Information
+    is in nats.
 
     Attributes:
-        probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``, NaN
-            if unknown.
-        question: the question asked.
+        probabilities: (model, event, answer) probability that a model gives to an answer about an
+            event; over answers they sum to 1. The coordinate ``error`` (model, event, answer) has
+            their Monte-Carlo errors; NaN: unknown.
+        question: the question asked, such as "relation".
         answers: number of people who are asked about each event.
         lapse: probability that a person answers at random.
-        prior: (model,) prior probability of each model.
-        seed: of the simulated answers that estimate the information of sets of events.
+        prior: (model,) prior probability of each model, sum 1.
+        seed: seed of the simulated answers that estimate joint information.
     """
 
     probabilities: xr.DataArray
@@ -93,12 +95,12 @@ class Design:
 
     @functools.cached_property
     def labels(self) -> list[str]:
-        """The answers."""
+        """The possible answers to the question."""
         return list(map(str, self.probabilities["answer"].values))
 
     @property
     def most(self) -> float:
-        """The largest possible information: the entropy of the prior over models, nats."""
+        """The largest possible information, in nats: the entropy of the prior over models."""
         return float(-(self.prior * np.log(self.prior)).sum())
 
     # --- single events -------------------------------------------------------------------------
@@ -114,10 +116,11 @@ class Design:
 
     @functools.cached_property
     def information(self) -> xr.DataArray:
-        """Expected information (event,) about which model is right, nats, with its ``error``.
+        """(event,) expected information of each event's answers on which model is right, in nats.
 
-        The error comes from the models' probabilities; it is NaN if any is unknown. Errors make
-        models look more different than they are. So information of the size of its error is none.
+        The coordinate ``error`` has its standard error, from the errors of the models'
+        probabilities; NaN if any of these is unknown. Errors make models look more different than
+        they are. So information no larger than its error shows nothing.
         """
         n, people = len(self.labels), self.answers
         summed = math.comb(people + n - 1, n - 1) <= _OUTCOMES
@@ -153,9 +156,11 @@ class Design:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per event, the most informative first: ``information`` and ``error`` in nats.
+        """A row per event, the most informative first.
 
-        ``share`` is of the largest possible information; further columns have each model's answer.
+        Columns: ``information`` and its ``error``, in nats; ``share``, the information divided by
+        :attr:`most`; and a column per model: its most probable answer with the probability, as
+        text.
         """
         table = self.information.to_dataframe()[["information", "error"]]
         table["share"] = table["information"] / self.most
@@ -200,9 +205,10 @@ class Design:
         return np.array([nats.mean(axis=0), error, leads.mean(axis=0)])
 
     def joint(self, events: Iterable[str]) -> ppl.Estimate:
-        """Return the joint information of answers to several events, nats, with its error.
+        """Return the joint information of answers about several events, in nats, with its error.
 
-        An event that is named twice counts once.
+        Args:
+            events: ids of the events. An event that is named twice counts once.
 
         Raises:
             UnknownNameError: there is no such event.
@@ -216,16 +222,19 @@ class Design:
         return self.events.index(event)
 
     def best(self, n: int) -> pd.DataFrame:
-        """Return the events to ask about, each next one adding the most information.
+        """Return the events to ask about, chosen one by one to add the most information.
+
+        The choice is greedy. It uses one half of 4000 simulations, each of a model and people's
+        answers to all events. The other half estimates the columns.
 
         Args:
-            n: how many, from 1.
+            n: number of events, at least 1.
 
         Returns:
-            A row per event, in that order. ``information`` is of it and those before together, with
-            its ``error``; ``share`` is of the largest possible information. ``right`` is how often
-            the model by which people answer would lead. One half of 4000 draws of a model and its
-            answers chooses, the other estimates.
+            A row per event, in the order of choice. ``information``: joint information of the
+            answers about this event and those chosen before it, in nats, with its ``error``.
+            ``share``: the information divided by :attr:`most`. ``right``: how often, given these
+            answers, the most probable model is the one by which people answer.
         """
         n = min(ppl.errors.whole_number("n", n), len(self.events))
         logs = np.zeros((DRAWS, len(self.prior)))
@@ -240,11 +249,12 @@ class Design:
         return table.set_index("event")
 
     def at_random(self, n: int) -> pd.DataFrame:
-        """Return the information of 1 to ``n`` events in random order, over 100 orders.
+        """Return the joint information of the first 1 to ``n`` events of a random order.
 
         Returns:
-            A row per number of events: mean ``information``, ``low`` and ``high``, its 5 % and
-            95 % quantiles, and ``right``.
+            A row per number of events, over 100 random orders: ``information``, the mean joint
+            information in nats; ``low`` and ``high``, its 5 % and 95 % quantiles; ``right``, how
+            often the most probable model is the one by which people answer.
         """
         n = min(ppl.errors.whole_number("n", n), len(self.events))
         rng = np.random.default_rng(self.seed)
@@ -264,7 +274,8 @@ class Design:
         """Return model -> its posterior probability given people's answers.
 
         Args:
-            answers: event -> an answer, several, or answer -> number of people.
+            answers: event id -> one answer, a list of answers, or a mapping answer -> number of
+                people.
 
         Raises:
             UnknownNameError: there is no such event or answer.
@@ -287,15 +298,19 @@ class Design:
 
     @ppl.plot.in_style
     def plot(self, path: str | os.PathLike[str] | None = None, *, n: int = 12) -> Figure:
-        """Draw the most informative events, ``n`` at most, and what the best say together.
+        """Draw the information of each event, and the joint information of the best events.
 
-        The figure is 8 inches wide. Left is the expected information of each event, with its error
-        if known. Right is the joint information of the events of :meth:`best`, beside as many
-        random ones (mean and 90 % of 100 orders); the dotted line is the largest possible. The
-        figure belongs to no global state. With a ``path`` it is also written there.
+        Left is the expected information of the most informative events, with its error if known.
+        Right is the joint information of the first 1 to ``n`` events of :meth:`best` (blue), and of
+        as many random events (grey: mean and 90 % of 100 orders). The dotted line is :attr:`most`.
+        The figure is 8 inches wide; matplotlib's ``pyplot`` does not know it.
+
+        Args:
+            path: file to write the figure to as well, ending in .png, .pdf or .svg.
+            n: largest number of events in either panel.
 
         Raises:
-            OutputError: it cannot be written there, or the ending is not .png, .pdf or .svg.
+            OutputError: ``path`` cannot be written, or has another ending.
         """
         table = self.table.head(n)
         figure = ppl.plot.new_figure(8.0, max(2.6, 1.1 + 0.2 * len(table)))
@@ -338,7 +353,11 @@ class Design:
         return ppl.plot.written(figure, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a .json file, from which :meth:`load` reads it."""
+        """Write everything to a .json file, from which :meth:`load` reads it.
+
+        Raises:
+            OutputError: the file cannot be written, or its name does not end in .json.
+        """
         errors = self.probabilities["error"].values
         none = np.full(errors.shape, None)  # for unknown values
         record = {
@@ -358,7 +377,7 @@ class Design:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
-        """Read what :meth:`save` wrote.
+        """Read a design from a file that :meth:`save` wrote.
 
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.

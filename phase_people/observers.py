@@ -1,9 +1,8 @@
-"""Observers: models that turn a model's evidence about a video into people's answers.
+"""Observers: models of a person who watches. They turn evidence about a video into answers.
 
-They are NumPyro programs over evidence, built of parts or written by hand.
-
-An observer is any callable ``observer(evidence)``. It samples its own parameters by
-``numpyro.sample`` and returns log probabilities of answers: question -> (event, answer). So::
+An observer is a NumPyro program: any callable ``observer(evidence)``, with :class:`Evidence`. It
+samples its own parameters by ``numpyro.sample`` and returns question -> (event, answer) log
+probabilities of people's answers. So::
 
     def timid(evidence):
         weight = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
@@ -12,7 +11,8 @@ An observer is any callable ``observer(evidence)``. It samples its own parameter
         belief += fear * tilt(evidence, evidence.cues["contact"], adversarial=1)
         return {"relation": log_shares(belief, evidence, "relation")}
 
-:class:`Observer` builds one of ready-made parts, each of which changes a :class:`Belief`.
+:class:`Observer` builds one of ready-made parts, such as :func:`weight` or :func:`lapse`. Each part
+changes a :class:`Belief` and samples the parameters that it names.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ RELATIONS: Final = QUESTIONS["relation"]
 """Question about an event of PHASE -> possible answers; then the answers about the relation."""
 
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
-"""Frames after which evidence counts half, for each table of ``log_likelihood``."""
+"""Frames after which evidence counts half, for each entry of :attr:`Evidence.log_likelihood`."""
 
 _LEAST: Final = 1e-30  # keeps logarithms of shares finite in single precision
 
@@ -72,20 +72,28 @@ ANSWERS: Final = {name: len(QUESTIONS[name]) for name in ("relation", "goal_red"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """The evidence that observers have about some videos."""
+    """The evidence that observers have about some videos.
 
-    events: tuple[str, ...]  # ids of the videos
-    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in the model's nats, up to
-    # a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the video, a
-    # single one without noise
+    A hypothesis is a pair of effective goals where the model gave posteriors, else a relation.
+
+    Attributes:
+        events: ids of the videos.
+        log_likelihood: (half-life, percept, event, hypothesis) log p(video | hypothesis), in the
+            model's nats, up to a constant per event. Half-lives are :data:`HALF_LIVES`. Percepts
+            are readings of the video; without noise there is one.
+        log_prior: (event, hypothesis) log prior masses.
+        answers: question -> (hypothesis,) index of the answer that the hypothesis implies.
+        cues: name of a surface cue (``ppl.cues``) -> (event,) its value.
+    """
+
+    events: tuple[str, ...]
     log_likelihood: FloatArray
-    log_prior: FloatArray  # (event, hypothesis) log prior masses
-    # question -> (hypothesis,) index of the answer that the hypothesis implies
+    log_prior: FloatArray
     answers: Mapping[str, IntArray]
-    cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``ppl.cues``)
+    cues: Mapping[str, FloatArray]
 
     def at(self, places: ArrayLike) -> Evidence:
-        """Return the evidence on the events at ``places``."""
+        """Return the evidence on the events whose indices are ``places``."""
         which = np.asarray(places, np.int64)
         return Evidence(
             tuple(self.events[i] for i in which),
@@ -97,7 +105,7 @@ class Evidence:
 
     @property
     def numbers(self) -> tuple[Any, Any, dict[str, Any]]:
-        """All that differs between sets of equally many videos, to be passed to XLA."""
+        """``log_likelihood``, ``log_prior`` and ``cues``, to be passed to a compiled program."""
         return self.log_likelihood, self.log_prior, dict(self.cues)
 
     def of_numbers(self, logs: Any, prior: Any, cues: Any) -> Evidence:
@@ -105,11 +113,12 @@ class Evidence:
         return dataclasses.replace(self, log_likelihood=logs, log_prior=prior, cues=cues)
 
     def condensed(self, single: int = 8, groups: int = 16) -> Evidence:
-        """Return evidence on relations alone, with few hypotheses of each.
+        """Return evidence on relations alone, with few hypotheses of each relation.
 
-        For each relation and event the ``single`` most probable hypotheses stay. The others are put
-        into ``groups`` groups of equal size and similar likelihood, with the sum of their priors
-        and the mean of their likelihoods. A fit then takes a twentieth of the time.
+        For each relation and event the ``single`` most probable hypotheses stay. The rest form
+        ``groups`` groups of equal size and similar likelihood; a group has the sum of its
+        hypotheses' priors and the mean of their likelihoods. A fit then takes a twentieth of the
+        time.
         """
         relations = self.answers["relation"]
         if relations.size <= len(RELATIONS) * (single + groups):
@@ -136,15 +145,22 @@ class Evidence:
 
 
 class Belief(NamedTuple):
-    """An observer's belief, and how it answers."""
+    """An observer's belief, and how it answers.
 
-    likelihood: Array  # (percept, event, hypothesis) log, unnormalised
-    prior: Array  # (event, hypothesis) log, unnormalised
-    sharpness: Array | float = 1.0  # exponent of the probabilities of answers
-    # number of hypotheses drawn from the belief before answering; each answer counts once more
-    # than it was drawn. Infinitely many give the belief itself
+    Attributes:
+        likelihood: (percept, event, hypothesis) log likelihood, unnormalised.
+        prior: (event, hypothesis) log prior mass, unnormalised.
+        sharpness: exponent of the probabilities of answers.
+        samples: number of hypotheses drawn from the belief before answering; each answer counts
+            once more than it was drawn. Infinitely many give the belief itself.
+        lapse: probability of an answer at random.
+    """
+
+    likelihood: Array
+    prior: Array
+    sharpness: Array | float = 1.0
     samples: Array | float = math.inf
-    lapse: Array | float = 0.0  # probability of an answer at random
+    lapse: Array | float = 0.0
 
 
 Responses: TypeAlias = dict[str, Array]  # question -> (event, answer) log probabilities
@@ -155,16 +171,25 @@ Part: TypeAlias = Callable[[Belief, Evidence], Belief]
 def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
     """Return (..., event, answer) log probabilities of the answers to a question.
 
-    ``log_mass`` are unnormalised log masses (..., event, hypothesis).
+    Args:
+        log_mass: (..., event, hypothesis) log masses of the hypotheses, unnormalised.
+        evidence: says which answer each hypothesis implies.
+        question: "relation", "goal_red" or "goal_green".
     """
     stands_for = jax.nn.one_hot(evidence.answers[question], ANSWERS[question])
     return jnp.log(jax.nn.softmax(log_mass, axis=-1) @ stands_for + _LEAST)
 
 
 def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
-    """Return (event, hypothesis) nats that depend on a hypothesis' relation.
+    """Return (event, hypothesis) nats to add to a belief, by the hypothesis' relation.
 
-    ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
+    Args:
+        evidence: says which relation each hypothesis implies.
+        values: (event,) values, such as those of a cue, or one number for all events.
+        **toward: relation -> nats per unit of ``values``; a relation that is not named gets 0 nats.
+
+    Raises:
+        UnknownNameError: there is no such relation.
     """
     for relation in toward:
         ppl.errors.check_name("relation", relation, RELATIONS)
@@ -180,12 +205,13 @@ class Perception:
     """Several noisy readings of a video, over which an observer's answers are averaged.
 
     Attributes:
-        noise: standard deviation of each position, units.
-        missed: probability that a frame is not seen; gaps are filled in evenly.
+        noise: standard deviation of the noise on each x and y, in units.
+        missed: probability that a frame is not seen; its poses are interpolated.
         percepts: number of readings.
 
     Raises:
-        InvalidSettingError: an unusable value.
+        InvalidSettingError: ``noise`` is negative, ``missed`` is not in [0, 1), or ``percepts`` is
+            no positive whole number.
     """
 
     noise: float = 0.1
@@ -204,7 +230,13 @@ class Perception:
     def readings(
         self, scene: ppl.Scene, observation: ppl.Observation, seed: int
     ) -> list[ppl.Observation]:
-        """Return ``percepts`` readings; the same seed gives the same ones."""
+        """Return ``percepts`` noisy observations of a video.
+
+        Args:
+            scene: the scene; noise moves no body out of its arena.
+            observation: the video; no body may be unseen in any frame.
+            seed: a whole number >= 0. Equal seeds give equal readings.
+        """
         rng = np.random.default_rng(seed)
         trajectory = observation.whole("an observer").trajectory
         return [self._reading(scene, trajectory, rng) for _ in range(self.percepts)]
@@ -228,9 +260,10 @@ class Perception:
 
 
 def leak(belief: Belief, evidence: Evidence) -> Belief:
-    """Evidence fades with time: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2.
+    """Let evidence fade: the parameter ``leak`` goes from 0 (never) to 2 (it halves in 10 frames).
 
-    It reads the original tables, and so is the first part of an observer.
+    Between whole numbers it interpolates the evidence at the half-lives of :data:`HALF_LIVES`. It
+    reads the original evidence, and so must be the first part of an observer.
     """
     most = len(HALF_LIVES) - 1
     place = numpyro.sample("leak", dist.Uniform(0, most))
@@ -239,13 +272,13 @@ def leak(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def weight(belief: Belief, evidence: Evidence) -> Belief:
-    """Evidence counts ``weight`` times as much as for the model."""
+    """Let evidence count ``weight`` times as much as for the model."""
     times = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
     return belief._replace(likelihood=times * belief.likelihood)
 
 
 def saturation(belief: Belief, evidence: Evidence) -> Belief:
-    """Evidence between relations saturates: none is more than ``most_evidence`` nats behind."""
+    """Let evidence saturate: no relation's is more than ``most_evidence`` nats below the best."""
     most = numpyro.sample("most_evidence", dist.LogNormal(math.log(3.0), 0.7))
     prior = log_shares(belief.prior, evidence, "relation")
     found = log_shares(belief.likelihood + belief.prior, evidence, "relation") - prior
@@ -257,7 +290,10 @@ def saturation(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def prior(belief: Belief, evidence: Evidence) -> Belief:
-    """People's own prior over relations, in nats beyond the model's."""
+    """Add people's own prior: ``prior_friendly`` and ``prior_neutral``, nats beyond the model's.
+
+    "adversarial" gets 0.
+    """
     friendly = numpyro.sample("prior_friendly", dist.Normal(0.0, 1.0))
     neutral = numpyro.sample("prior_neutral", dist.Normal(0.0, 1.0))
     own = tilt(evidence, friendly, friendly=1.0) + tilt(evidence, neutral, neutral=1.0)
@@ -267,9 +303,16 @@ def prior(belief: Belief, evidence: Evidence) -> Belief:
 def cues(**toward: str) -> Part:
     """Return a part in which cues are evidence of a relation, as ``cues(distance="neutral")``.
 
-    A cue's likelihood is exponential in it. ``cues(contact="neutral")`` with a negative
-    ``cue_contact`` [nats per unit] says that agents who want nothing of each other do not touch.
-    The cues' common scale ``cue_scale`` is inferred, so that useless ones shrink together.
+    A cue's likelihood is exponential in its value, with the parameter ``cue_<name>``, nats per
+    unit. So with ``cues(contact="neutral")`` a negative ``cue_contact`` says that agents who want
+    nothing of each other do not touch. The common scale of these parameters, ``cue_scale``, is
+    inferred, so that useless cues shrink together.
+
+    Args:
+        **toward: name of a cue (``ppl.cues.CUES``) -> the relation that it is evidence of.
+
+    Raises:
+        UnknownNameError: there is no such cue or relation.
     """
     for name, relation in toward.items():
         ppl.errors.check_name("cue", name, ppl.cues.CUES)
@@ -289,17 +332,17 @@ def cues(**toward: str) -> Part:
 
 
 def sharpness(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers follow the belief to the power ``sharpness``, an inverse temperature."""
+    """Raise the probabilities of answers to the power ``sharpness``, an inverse temperature."""
     return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
 
 
 def samples(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers follow a few samples of the belief, ``samples`` of them."""
+    """Let answers follow a few hypotheses drawn from the belief, ``samples`` of them."""
     return belief._replace(samples=numpyro.sample("samples", dist.LogNormal(math.log(10), 1.0)))
 
 
 def lapse(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers are random with probability ``lapse``."""
+    """Let an answer be random with probability ``lapse``."""
     return belief._replace(lapse=numpyro.sample("lapse", dist.Beta(1.0, 20.0)))
 
 
@@ -307,7 +350,7 @@ def lapse(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def respond(belief: Belief, evidence: Evidence) -> Responses:
-    """Return the answers to all questions that hypotheses decide."""
+    """Return question -> (event, answer) log probabilities of the answers that a belief gives."""
     log_mass = belief.likelihood + belief.prior
     found = {}
     for question in evidence.answers:
@@ -327,7 +370,7 @@ class Observer:
     model does. A part is a function ``(belief, evidence) -> belief`` that may sample parameters.
 
     Raises:
-        InvalidSettingError: a part is no function, or ``leak`` is not the first.
+        InvalidSettingError: a part is no function, or ``leak`` is not the first part.
     """
 
     parts: tuple[Part, ...]
@@ -345,7 +388,7 @@ class Observer:
         object.__setattr__(self, "parts", parts)
 
     def __call__(self, evidence: Evidence) -> Responses:
-        """Sample the parameters, and return the answers."""
+        """Sample parameters; return question -> (event, answer) log probabilities of answers."""
         belief = Belief(jnp.asarray(evidence.log_likelihood[0]), jnp.asarray(evidence.log_prior))
         for part in self.parts:
             belief = part(belief, evidence)
@@ -384,7 +427,11 @@ OBSERVERS: Final[Mapping[str, Observer]] = {
 
 
 def observer_named(name: str) -> Observer:
-    """Return a ready-made observer."""
+    """Return the observer of :data:`OBSERVERS` with that name.
+
+    Raises:
+        UnknownNameError: there is no such observer.
+    """
     ppl.errors.check_name("observer", name, OBSERVERS)
     return OBSERVERS[name]
 

@@ -138,10 +138,11 @@ class Status:
     """The state of a study.
 
     Attributes:
-        counts: people who entered, consented, declined, failed the quiz, are at it now, left,
-            expired, finished, were excluded, withdrew, or were flagged by attention checks.
-        viewings: video or scene -> answers of people who finished and were not excluded, or
-            completed sessions.
+        counts: how far people got -> number of people who entered, consented, declined, failed the
+            quiz, are at it now, left, came back too late, finished, withdrew, were excluded or were
+            flagged by attention checks.
+        viewings: video -> number of answers by people who finished and were not excluded; in a
+            study of play, scene -> number of completed sessions.
     """
 
     counts: Mapping[str, int]

@@ -82,12 +82,12 @@ class Live(Served):
         ``ppl.study.Live("trio").run()``
 
     Args:
-        scenes: a scene to play in, or a world or the name of a ready-made one, whose scenes are
+        scenes: a scene to play in; or a world, or the name of a ready-made one, in which scenes are
             drawn.
-        seed: of scenes, goals, and the planner.
+        seed: seed of scenes, goals and the planner.
 
     Raises:
-        UnknownNameError: there is no such world.
+        UnknownNameError: there is no ready-made world of that name.
     """
 
     def __init__(self, scenes: ppl.Scene | ppl.World | str = "PHASE", seed: int = 0) -> None:
@@ -120,7 +120,7 @@ class Live(Served):
     # --- its beginning and end --------------------------------------------------------------------
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Starlette:
-        """Return the application; it answers to the names of this machine, url and host."""
+        """Return the application; it answers to this machine's names, ``url`` and ``host``."""
 
         @contextlib.asynccontextmanager
         async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -471,7 +471,7 @@ class Live(Served):
         return Response(path.read_bytes(), headers=said, media_type="application/json")
 
     def event(self) -> ppl.Event:
-        """Return the game so far; without truth if somebody in it has no goal."""
+        """Return the game so far as an event; it has no truth if some agent has no goal."""
         players = {"nobody": 1, "player": 2}.get(self._wishes.partner, len(self.world.agents))
         is_known = players >= len(self.world.agents)
         truth = ppl.Truth.of(self._roles) if is_known else None

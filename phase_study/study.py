@@ -56,7 +56,7 @@ class Served:
     _locked: Path | None = None  # folder that is this process's meanwhile
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
-        """Return the application; ``state.opening`` of it is awaited before people can come."""
+        """Return the application; functions in ``state.opening`` are awaited before people come."""
         raise NotImplementedError
 
     def check(self) -> list[str]:
@@ -72,18 +72,20 @@ class Served:
         ready: Callable[[str], object] = print,
         keep: Callable[[Any], object] = lambda server: None,
     ) -> None:
-        """Serve it until it is interrupted.
+        """Serve the study or game to browsers until it is interrupted.
 
         Args:
             port: port at which to listen; 0: a free one.
-            host: address at which to listen. Others than this machine's need TLS before them.
-            url: address by which people reach it, as in "https://study.example.org".
-            ready: called with the address once people can come.
-            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
+            host: address at which to listen. Any other than this machine's needs TLS in front of
+                it.
+            url: address by which people reach the server, such as "https://study.example.org".
+            ready: function that is called with the address once people can come.
+            keep: function that is called with uvicorn's server before it runs; setting the server's
+                ``should_exit`` ends it.
 
         Raises:
             InvalidEventError: a film of a study is missing or was changed.
-            InvalidSettingError: the extra ``study`` is missing; or the url is invalid, or missing
+            InvalidSettingError: the extra ``study`` is missing; or ``url`` is invalid, or missing
                 for a host such as 0.0.0.0.
             OutputError: another server uses the port, or the study's folder.
         """
@@ -117,10 +119,10 @@ class Served:
 
 
 class Study(Served):
-    """A study in a folder.
+    """A study of people in the browser, kept in a folder; :meth:`new` makes one.
 
     Args:
-        folder: made by :meth:`new`.
+        folder: folder of the study.
 
     Raises:
         InvalidEventError: the folder holds no study.
@@ -158,22 +160,26 @@ class Study(Served):
         """Make a study: ``study.toml``, films with meaningless names, and the database.
 
         Args:
-            folder: empty, or not yet existing.
+            folder: folder for the study, empty or not yet existing.
             events: the events to show, all of one world. For a study of play, the events whose
-                scenes, goals and strengths are played; for likeness, those that people played.
-            kind: "judgment", "tagging", "likeness" or "play".
-            generated: for likeness, the counterparts of ``events``: same scene, goals, strengths.
-                By default they are simulated.
+                scenes, goals and strengths are played; for likeness, the events that people played.
+            kind: "judgment" (of goals and relation), "tagging" (with labels), "likeness" (ratings
+                of how likely people are to behave like this) or "play" (of pairs who steer the
+                agents).
+            generated: for likeness, the counterparts of ``events``: simulated events with the same
+                scene, goals and strengths. By default they are simulated now.
             title: title of the pages.
-            trials, raters: videos per person, and people per video, by default 10 and 20. For play,
-                sessions per pair, and sessions of each scene, by default 3 and 5.
-            workers: processes that make films; default one per usable core.
-            progress: whether to show a bar; None: where stderr is a terminal.
+            trials: number of videos that a person sees, by default 10; for play, of sessions that a
+                pair plays, by default 3.
+            raters: number of people per video, by default 20; for play, of sessions per scene, by
+                default 5.
+            workers: number of processes that make films; by default one per usable core.
+            progress: whether to show a bar; None: if stderr is a terminal.
 
         Raises:
             UnknownNameError: there is no such kind.
-            InvalidSettingError: events are of several worlds, or of another than PHASE in a study
-                of play.
+            InvalidSettingError: events are of several worlds, or of another world than PHASE in a
+                study of play.
             InvalidEventError: events lack a truth that is needed, or a counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
@@ -215,23 +221,23 @@ class Study(Served):
         return cls(target)
 
     def store(self) -> contextlib.closing[Store]:
-        """Open the database, for a ``with``; the server may be using it."""
+        """Open the study's database, for a ``with``; the server may be using it meanwhile."""
         return contextlib.closing(Store(self.folder / store_module.FILE))
 
     @functools.cached_property
     def events(self) -> Mapping[str, ppl.Event]:
-        """Id -> event, of the videos or scenes."""
+        """Event id -> event, for the videos that people see or the scenes that they play."""
         return {event.id: event for event in ppl.load_events(self.folder / EVENTS)}
 
     def events_by_digest(self) -> dict[str, str]:
-        """Return hash of a film -> id of its event."""
+        """Return SHA-256 of a film -> id of its event."""
         with self.store() as store:
             return {s.sha256: s.event for s in store.stimuli().values() if s.sha256}
 
     # --- serving ----------------------------------------------------------------------------------
 
     def check(self) -> list[str]:
-        """Check that the study can be run; return what a researcher should still look at.
+        """Check that the study can be run; return warnings that a researcher should look at.
 
         Raises:
             InvalidEventError: a film is missing or was changed.
@@ -258,11 +264,11 @@ class Study(Served):
         return warnings
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
-        """Return the application, for an ASGI server of your own; it must be one process.
+        """Return the application, for an ASGI server of your own, which must be one process.
 
         Args:
-            url: address by which people reach it; with ``https``, its cookies are for TLS only.
-            host: address at which it listens.
+            url: address by which people reach the server; with ``https``, cookies are for TLS only.
+            host: address at which the server listens.
         """
         check_extra()
         from phase_study.server import Site, create_app
@@ -288,8 +294,8 @@ class Study(Served):
         """Write all answers so far into a folder; the study may go on meanwhile.
 
         Args:
-            out: folder; files of an earlier export in it are replaced.
-            include: people to export beside those who finished: "unfinished", "excluded" and
+            out: the folder; files of an earlier export in it are replaced.
+            include: which people to export beside those who finished: "unfinished", "excluded" and
                 "flagged" (by attention checks).
             demographics: whether to write age and gender of each participant, not totals only.
 
@@ -312,12 +318,18 @@ class Study(Served):
         return target
 
     def withdraw(self, participant: str) -> None:
-        """Delete all data of somebody (UnknownNameError: there is no such participant)."""
+        """Delete all data of a participant.
+
+        Raises:
+            UnknownNameError: there is no such participant.
+        """
         with self.store() as store:
             store.withdraw(participant)
 
     def exclude(self, participant: str, reason: str) -> None:
-        """Exclude somebody from exports, and give their videos to others.
+        """Exclude a participant from exports, and give that person's videos to others.
+
+        ``reason`` is a text that is kept.
 
         Raises:
             UnknownNameError: there is no such participant.

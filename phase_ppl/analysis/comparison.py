@@ -64,17 +64,20 @@ _PRINTED_COLUMNS: Final = 7
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Comparison(Printed):
-    """Results of several kernels on one event under the same budget, over repeats.
+    """Results of several kernels on one event, with an equal budget for each and repeats.
 
     Attributes:
-        runs: one row per kernel and repeat: ``kernel`` (its label), ``repeat``, ``seed`` (the seed
-            of the same run by ``infer``), ``validity``, and every measure of :data:`MEASURES`;
-            NaN: none.
-        curve: the accuracy of every run by number of simulations: ``kernel``, ``repeat``,
-            ``simulations``, and the measures of accuracy.
-        settings: all that determines the result: event, model, kernels with their options,
-            budget, chains, seed, and ``reference``: its ``description``, ``marginals``, its own
-            ``error`` and its probabilities of the truth (``truth``).
+        runs: a row per kernel and repeat: ``kernel`` (its label), ``repeat``, ``seed`` (with it
+            ``infer`` gives this run), ``validity`` (of the kernel, see
+            :func:`phase_ppl.register_kernel`), and the measures of
+            :data:`~phase_ppl.analysis.comparison.MEASURES`; NaN: the run has no such measure.
+        curve: accuracy of each run by number of simulations: ``kernel``, ``repeat``,
+            ``simulations``, ``frames``, and the measures of
+            :func:`~phase_ppl.analysis.comparison.accuracy`.
+        settings: all that determines the result: event, model, kernels with their options, budget,
+            chains, seed, and ``reference``, the posterior that kernels are compared with. Of this
+            it has the ``description``, the ``marginals``, the ``error`` (distances between its
+            halves) and the probabilities of the ``truth``.
     """
 
     runs: pd.DataFrame
@@ -88,10 +91,10 @@ class Comparison(Printed):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Mean and standard error over repeats.
+        """A row per kernel: mean and standard error of each measure over repeats.
 
-        A row per kernel. Columns (measure, "mean") and (measure, "se"); ("runs", "n") is the
-        number of repeats, with a single one there is no standard error (NaN).
+        Columns are (measure, "mean") and (measure, "se"), and ("runs", "n"), the number of repeats.
+        With one repeat the standard error is NaN.
         """
         grouped = self.runs.groupby("kernel", sort=False)
         table = grouped[list(MEASURES)].agg(["mean", "sem"]).rename(columns={"sem": "se"})
@@ -99,33 +102,36 @@ class Comparison(Printed):
         return table.loc[self.kernels]
 
     def reference_error(self, measure: str = "tv_goals") -> float | None:
-        """Return the distance between halves of the reference; None: not known.
+        """Return the distance between two halves of the reference posterior; None: unknown.
 
         The reference's error is smaller than this distance in some nine of ten cases.
 
+        Args:
+            measure: the distance, "tv_goals" or "tv_relation": total variation of the marginals.
+
         Raises:
-            UnknownNameError: ``measure`` is none of :data:`DISTANCES`.
+            UnknownNameError: ``measure`` is neither.
         """
         check_name("distance", measure, DISTANCES)
         value = (self.settings["reference"].get("error") or {}).get(measure)
         return None if value is None else float(value)
 
     def ranks(self, measure: str = "tv_goals") -> pd.DataFrame:
-        """Return the ranks of kernels by distance from the reference, with their uncertainty.
+        """Return the kernels' ranks by distance from the reference posterior, with uncertainty.
 
         Two kernels are told apart if their mean distances differ by more than a margin: the
         distance between the reference's halves plus two standard errors of the difference over
-        repeats. With a single repeat, or without halves, none are told apart.
+        repeats. With a single repeat, or without halves, no two kernels are told apart.
 
         Args:
-            measure: of :data:`DISTANCES`.
+            measure: the distance, "tv_goals" or "tv_relation": total variation of the marginals.
 
         Returns:
-            A row per kernel, the nearest first: ``mean``, and ``best`` and ``worst``, its possible
-            ranks, from 1 to the number of kernels.
+            A row per kernel, the nearest first: ``mean``, its mean distance; ``best`` and
+            ``worst``, its possible ranks, from 1 to the number of kernels.
 
         Raises:
-            UnknownNameError: there is no such distance.
+            UnknownNameError: ``measure`` is neither.
         """
         error, table = self.reference_error(measure), self.table
         mean, spread = table[measure].to_numpy(float).T
@@ -280,10 +286,10 @@ def accuracy(
 
     Keys:
 
-    * ``tv_goals``: total variation between the marginals of a goal and the reference's, mean over
-      the agents; ``tv_relation``: the same for relations, mean over the pairs.
-    * ``p_pair``: probability of the true effective goals of all agents; ``p_goals``: of an agent's
-      true goal, mean over agents; ``p_relation``: of a true relation, mean over pairs.
+    * ``tv_goals``: total variation between a goal's marginal and the reference's, mean over
+      agents; ``tv_relation``: total variation between a relation's marginals, mean over pairs.
+    * ``p_pair``: joint probability of all agents' true effective goals; ``p_goals``: probability
+      of an agent's true goal, mean over agents; ``p_relation``: of a true relation, over pairs.
     * ``map_goals``: share of agents whose most probable goal is the true one; ``map_relation``:
       share of pairs whose most probable relation is the true one.
     """
@@ -321,16 +327,16 @@ def efficiency(post: Posterior) -> dict[str, float]:
 
     Keys:
 
-    * ``draws``: the rows that the answers rest on, such as the last population of ``smc``.
+    * ``draws``: number of rows that answers rest on, such as the last population of ``smc``.
     * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which
       effective goals changed.
-    * ``distinct``: hypotheses among the draws.
-    * ``r_hat``: the worst of the log joint, strengths, goals and relations.
+    * ``distinct``: number of different hypotheses among the draws.
+    * ``r_hat``: the worst R-hat of the log joint, strengths, goals and relations.
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
-      sum of their squared weights. ``ess_per_second``: the same by ``seconds``.
-    * ``simulations``, their ``frames``, and ``seconds`` of wall time. If proposals need a reading
-      of the video before the first simulation, its time counts.
+      sum of their squared weights. ``ess_per_second``: this size divided by ``seconds``.
+    * ``simulations``: their number, with their ``frames``, and ``seconds`` of wall time. If
+      proposals need a reading of the video before the first simulation, its time counts.
     """
     found, weight = post.diagnostics(), post.table.weights
     simulations, moves = int(post.cost["simulations"]), found["move_rate"]

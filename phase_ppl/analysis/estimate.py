@@ -138,7 +138,8 @@ class Estimate(float):
 
     Attributes:
         error: standard error; NaN: unknown, printed as 0.83 ± unknown.
-        why: why value or error are unknown, printed behind them; "": they are not, or none is told.
+        why: why the value or the error is unknown, printed after the number; "": no reason is
+            given.
     """
 
     error: float
@@ -195,10 +196,11 @@ class Mode(str):
     """The most probable label; a plain string.
 
     Attributes:
-        error: probability that another label leads in truth, the highest over all others. It comes
-            from the Monte-Carlo error of the difference, taken as normal. It is at least that of
-            Jeffreys' posterior of the two labels, after as many independent draws as they are
-            worth. 0.5 for a tie; NaN: unknown.
+        error: probability that another label is in truth the most probable one, the highest over
+            all others. It comes from the Monte-Carlo error of the difference between their
+            probabilities, taken as normal. It is at least the one under Jeffreys' posterior of
+            these two labels, after as many independent draws as the run is worth. 0.5 for a tie;
+            NaN: unknown.
     """
 
     error: float

@@ -37,10 +37,11 @@ if TYPE_CHECKING:
 
 
 class EventPosterior(Hypotheses):
-    """Base of both posteriors of an event, sampled and by the closed loop.
+    """Base of both posteriors of an event: sampled, and by the closed loop.
 
-    Beside the arguments of :class:`Hypotheses` it takes the quantities of the event's world
-    (``words``), the attributes of the file, and its variables of the scene.
+    It takes three arguments beside those of :class:`Hypotheses`: the quantities of the event's
+    world (``words``), the attributes of the file (``attrs``), and its variables of the scene
+    (``constant``).
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class EventPosterior(Hypotheses):
 
     @property
     def event_id(self) -> str:
-        """Name of the event that was explained."""
+        """Id of the event."""
         return str(self._attrs["event_id"])
 
     @property
@@ -67,21 +68,21 @@ class EventPosterior(Hypotheses):
 
     @property
     def cost(self) -> dict[str, Any]:
-        """Cost: simulations or searches, seconds, workers."""
+        """What the run cost: ``simulations`` or ``searches``, ``seconds``, ``workers`` and more."""
         return dict(json.loads(self._attrs["cost"]))
 
     @property
     def scene(self) -> Scene:
-        """The scene of the event: its place and start."""
+        """The scene of the event: its room, walls and start."""
         return kept_scene(self._constant)
 
     @property
     def world(self) -> World:
-        """Whose agents and goals."""
+        """The world of the event: its agents, items, landmarks and goals."""
         return self.scene.world
 
     def map(self) -> Any:
-        """Return the most probable hypothesis; its goals are the stated ones.
+        """Return the most probable hypothesis; its goals are stated goals.
 
         Returns:
             A :class:`phase_ppl.Hypothesis`.
@@ -104,22 +105,22 @@ class EventPosterior(Hypotheses):
         }
 
     def observed(self) -> FloatArray:
-        """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
+        """Return the observed trajectory (time, entity, [x, y, angle]), in units and radians."""
         raise NotImplementedError
 
     def replay(self) -> FloatArray | None:
-        """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
+        """Return (time, entity, [x, y, angle]) the stored simulation of the best hypothesis.
 
-        None: the closed loop's posterior has no simulations.
+        It is in units and radians. None: the closed loop's posterior has no simulations.
         """
         return None
 
     @property
     def untried(self) -> float:
-        """Prior mass of the pairs of effective goals that were not tried.
+        """Prior mass of the combinations of all agents' effective goals that were not simulated.
 
-        A sampled posterior gives these probability 0, however well they may explain the video. NaN:
-        the prior of pairs is not kept. The closed loop tries all hypotheses: 0.
+        A sampled posterior gives these combinations probability 0, however well they may explain
+        the video. NaN: the file does not hold their prior. The closed loop tries all hypotheses: 0.
         """
         return 0.0
 
@@ -133,11 +134,12 @@ class EventPosterior(Hypotheses):
         has the original chains.
 
         The group ``posterior`` has numbers: strengths, real sites and a user's own quantities, and
-        ``log_joint`` and ``total_error`` of a sampled posterior. Categories of more than 2 % have
-        an indicator (0 or 1) each, so its mean is a probability. ``observed_data`` and
-        ``constant_data`` have the observation and the scene. There is no ``log_likelihood`` for
-        ``az.loo``; the attribute ``loo`` says why. The attributes ``weights``,
-        ``effective_size_kish`` (Kish's size of the weights) and ``draws`` describe the draws.
+        ``log_joint`` and ``total_error`` of a sampled posterior. Each label with a probability
+        above 2 % has an indicator (0 or 1), whose mean is the label's probability.
+        ``observed_data`` and ``constant_data`` have the observation and the scene. There is no
+        ``log_likelihood`` for ``az.loo``; the attribute ``loo`` says why. The attributes
+        ``weights``, ``effective_size_kish`` (Kish's size of the weights) and ``draws`` describe the
+        draws.
 
         Returns:
             An ``arviz.InferenceData`` for ArviZ before 1, otherwise an :class:`xarray.DataTree`.
@@ -154,7 +156,7 @@ class EventPosterior(Hypotheses):
         """The original chains for ArviZ: ``az.rhat``, ``az.ess``, ``az.plot_trace``.
 
         Raises:
-            InvalidSettingError: there are none.
+            InvalidSettingError: the posterior has no chains.
         """
         raise NotImplementedError
 
@@ -207,13 +209,13 @@ class EventPosterior(Hypotheses):
 
     @property
     def tempering(self) -> str:
-        """The weight of a frame as evidence, in words; "": not tempered, as far as known."""
+        """The weight of a frame as evidence, in words; "": it counts in full, as far as known."""
         raise NotImplementedError
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals at every frame: probabilities (time, label) of each question.
+        """Return (time, label) the probabilities of goals, relations and scenario at every frame.
 
-        A sampled posterior's are in hindsight; the attribute ``hindsight`` says so.
+        For a sampled posterior they are in hindsight; the attribute ``hindsight`` says so.
         """
         raise NotImplementedError
 
@@ -227,11 +229,11 @@ class EventPosterior(Hypotheses):
             over: conditions to compare with; by default that ``event`` is false.
 
         Returns:
-            Three variables (time,), in nats. ``log_odds``: log odds of one over the other given the
-            frames so far. ``error``: their error, by the jackknife over sets of searches; NaN:
-            unknown. ``change``: the change of ``log_odds`` by each frame. The attribute
-            ``tempering`` says how they are tempered. Those of a sampled posterior are in hindsight,
-            as in :meth:`over_time`.
+            Three variables (time,), in nats. ``log_odds``: log odds of ``event`` over ``over``
+            given the frames so far, in hindsight for a sampled posterior (see :meth:`over_time`).
+            ``error``: its standard error, by the jackknife over sets of searches; NaN: unknown.
+            ``change``: by how much each frame changes ``log_odds``. The attribute ``tempering``
+            says what a frame counts.
 
         Raises:
             QueryError, UnknownNameError: the conditions cannot be read, or name something unknown.
@@ -275,8 +277,8 @@ class EventPosterior(Hypotheses):
     def diagnostics(self) -> dict[str, Any]:
         """Return diagnostics: numbers, and a verdict on whether to trust the posterior.
 
-        They include ``trust``, ``answer``, ``checks``, ``next`` and ``verdict``, from
-        :func:`phase_ppl.analysis.verdict.judged`.
+        They include ``trust`` ("confident", "not certain", "do not trust"), ``answer``, ``checks``,
+        ``next`` (what to do) and ``verdict``.
         """
         raise NotImplementedError
 
@@ -301,10 +303,10 @@ class EventPosterior(Hypotheses):
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.
 
-        Keys: ``goals`` (agent -> all goals), ``relation``, ``scenario``, ``strengths`` (agent
-        -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
-        form), ``map``, ``diagnostics``, ``settings``, ``cost``. The closed loop's posterior also
-        has ``log_evidence`` (nats) and ``frame``.
+        Keys: ``goals`` (agent -> goal -> probability), ``relation`` and ``scenario`` (label ->
+        probability), ``strengths`` (agent -> mean, sd, hdi_low, hdi_high in newtons), ``errors``
+        (the errors of all these, in the same form), ``map``, ``diagnostics``, ``settings``,
+        ``cost``. The closed loop's posterior also has ``log_evidence`` (nats) and ``frame``.
         """
         record = {**answers(self), "map": self.map_record(), **self._judged()}
         return dict(plain({**record, "settings": self.settings, "cost": self.cost}))
@@ -314,10 +316,10 @@ class EventPosterior(Hypotheses):
         return {"diagnostics": self.diagnostics()}
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write everything to ``path`` as NetCDF, whole or not at all.
+        """Write the posterior to ``path`` as NetCDF, whole or not at all.
 
-        The weighting and the burn-in in use, or the last frame that counts, become the file's
-        defaults. Definitions in words are kept.
+        What is in use becomes the file's default: weighting and burn-in, or the last frame that
+        counts. Definitions in words are kept.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
@@ -340,19 +342,19 @@ class EventPosterior(Hypotheses):
     def with_prior(self, prior: Callable[..., object] | str) -> Self:
         """Return the posterior under another prior; nothing is simulated or searched again.
 
-        The closed loop's posterior has all hypotheses, so this equals a new run, except that the
-        old prior chose which goal pairs got all searches: for the others errors are too small. A
-        sampled posterior is reweighted by the ratio of the priors over its simulations. The
-        effective size is in its ``settings`` and is printed.
+        The closed loop's posterior has all hypotheses, so the result equals a new run, with one
+        exception. The old prior chose which pairs of goals got all searches; for other pairs errors
+        are too small. A sampled posterior is reweighted by the ratio of the priors over its
+        simulations. The result's ``settings`` then have the effective size, which is also printed.
 
         Args:
-            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
-                (:func:`phase_ppl.priors.available`). One that looks at the video sees all frames
-                that were read.
+            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made prior
+                (:func:`phase_ppl.priors.available`). A prior that looks at the video sees all
+                frames that were read.
 
         Raises:
-            InvalidSettingError: it is no prior, or too few of its probable hypotheses were
-                simulated.
+            InvalidSettingError: ``prior`` is no prior, or too few of the hypotheses that it makes
+                probable were simulated.
             UnknownNameError: there is no such prior.
         """
         return self.under(self._checked(prior))
@@ -364,7 +366,7 @@ class EventPosterior(Hypotheses):
         return Model(prior=prior).in_world(self.scene, self._video).prior
 
     def bound(self, prior: Callable[..., object]) -> Callable[..., Any]:
-        """Return a prior bound to what was read, as far as it asks for it."""
+        """Return a prior bound to the scene and the frames read, where it asks for them."""
         from phase_ppl.models.world_priors import bound
 
         return bound(prior, self.scene, self._video)
@@ -376,7 +378,7 @@ class EventPosterior(Hypotheses):
         return Observation(seen) if len(seen) >= MIN_FRAMES else None
 
     def under(self, prior: Callable[..., object]) -> Self:
-        """Return :meth:`with_prior` of a program that was checked."""
+        """Return what :meth:`with_prior` does, for a prior that was checked before."""
         raise NotImplementedError
 
     def sensitivity(
@@ -391,7 +393,7 @@ class EventPosterior(Hypotheses):
             values: values of that argument.
 
         Returns:
-            The answers along ``value``, with their ``error``.
+            The answers, an array with the dim ``value``, with their ``error``.
 
         Example:
             ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
@@ -399,7 +401,7 @@ class EventPosterior(Hypotheses):
 
         Raises:
             InvalidSettingError: too little was simulated for a prior, or the answer is no number.
-            QueryError: as in :meth:`query`.
+            QueryError: the question cannot be answered, as in :meth:`query`.
         """
         if not callable(prior):
             raise InvalidSettingError(
@@ -446,33 +448,34 @@ class EventPosterior(Hypotheses):
         is, and with the change. Without a change, each is simulated once.
 
         Args:
-            alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
+            alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``: (red towards green,
+                green towards red), 1 to help, -1 to hinder, 0 for neither.
             relation: who helps or hinders whom in any world: (who, whom) -> "help" or "hinder".
                 Pairs that are left out do neither. An agent that no longer helps or hinders pursues
                 its own goal; in other worlds than PHASE this is drawn from the prior.
-            remove: an entity or several, such as ``"green agent"``.
-            walls: (n, 2, 2) end points of the inner walls, units; an empty list: no walls.
-            at: frame of the change; agents know what they saw until then. By default the start.
-            seconds: simulated seconds from there; by default to the end of the video.
-            n: number of hypotheses, at least 2. Default: 16.
-            seed: a whole number >= 0.
+            remove: name of an entity to remove, or several, such as ``"green agent"``.
+            walls: (n, 2, 2) end points of the inner walls, in units; an empty list: no walls.
+            at: frame of the change; agents know what they saw until then. Default: the start.
+            seconds: simulated seconds from that frame; by default to the end of the video.
+            n: number of hypotheses, at least 2.
+            seed: seed of draws and simulations, a whole number >= 0.
             workers: number of processes; by default one per usable core.
-            simulator: needed if the run had a simulator of its own.
+            simulator: the simulator; needed if the run had a simulator of your own.
             **changed: ``goal_<agent>``: the effective goal of that agent, as in
-                ``goal_red="get to green agent"``. The others know it, and keep their goals.
+                ``goal_red="get to green agent"``; the other agents know it and keep their goals.
                 ``stated_goal_<agent>``: its stated goal; agents that help or hinder it follow.
-                ``strength_<agent>``: newtons.
+                ``strength_<agent>``: its strength in newtons.
 
         Returns:
             A :class:`phase_ppl.analysis.what_if.WhatIf` of all simulations. ``print`` shows how
             often and when each agent reaches its goal, with the change and without it. It also says
-            whether that differs by more than chance (sign test of the pairs).
+            whether that differs by more than chance (sign test of the pairs of simulations).
 
         Example:
             ``print(post.do(remove="green agent"))``
 
         Raises:
-            InvalidSettingError: a value that cannot be used; or ``simulator`` is needed, or it
+            InvalidSettingError: a value cannot be used; ``simulator`` is needed; or the simulator
                 cannot do this: ``at`` and ``remove`` are for the joint simulator.
             UnknownNameError: there is no such entity, goal or quantity.
         """
@@ -490,17 +493,19 @@ class EventPosterior(Hypotheses):
         """Return the posterior predictive: simulations of what follows the last frame.
 
         Args:
-            seconds: simulated seconds after the last frame. Default: 2.
-            n, seed, workers: as in :meth:`do`.
+            seconds: simulated seconds after the last frame.
+            n: number of hypotheses drawn from the posterior, each simulated once; at least 2.
+            seed: seed of draws and simulations, a whole number >= 0.
+            workers: number of processes; by default one per usable core.
 
         Returns:
-            As :meth:`do` without a change.
+            A :class:`phase_ppl.analysis.what_if.WhatIf` with a single world, "as it is".
 
         Example:
             ``post.at(40).predict(2).tracks.mean("simulation")``, for the closed loop's posterior
 
         Raises:
-            InvalidSettingError: a value that cannot be used, or the run had a simulator of its own.
+            InvalidSettingError: a value cannot be used, or the run had a simulator of your own.
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)

@@ -72,19 +72,20 @@ SURE: Final = 1.64
 class Hypotheses(Printed):
     """A weighted table of hypotheses, and questions that one can ask it.
 
-    Every result carries its Monte-Carlo error as ``.error``. A number is a float with an error; an
-    array has a coordinate ``error`` beside its values. Arithmetic computes no new errors: a number
-    loses its error, and an array keeps the old one. :mod:`phase_ppl.analysis.estimate` says how
-    errors are found, and when they are NaN.
+    Every answer carries its Monte-Carlo error. A number is a :class:`phase_ppl.Estimate`, with
+    ``.error``; an array has a coordinate ``error`` beside its values. Arithmetic computes no new
+    errors: a number loses its error, and an array keeps the old one.
+    :mod:`phase_ppl.analysis.estimate` says how errors are found, and when they are NaN.
 
-    Every question takes ``given``, what to condition on: quantity -> value. A value is a label; a
-    list of labels, any of which will do; or, for numbers, an interval (low, high). ``given`` may
-    also be conditions in words, such as ``"relation=friendly or strength_red > strength_green"``.
-    :mod:`phase_ppl.analysis.quantities` lists the quantities.
+    Questions are about quantities, by name, such as "goal_red"
+    (:mod:`phase_ppl.analysis.quantities` lists them). Every question takes ``given``, what to
+    condition on: quantity -> value. A value is a label; a list of labels, any of which will do; or,
+    for numbers, an interval (low, high). ``given`` may also be conditions in words, such as
+    ``"relation=friendly or strength_red > strength_green"``.
 
     All questions raise UnknownNameError if there is no such quantity or label; it names close
-    matches. They raise InvalidSettingError if a quantity lacks what is asked for, or ``given`` has
-    probability 0.
+    matches. They raise InvalidSettingError if a quantity lacks the categories or numbers that the
+    question needs, or if ``given`` has probability 0.
 
     Args:
         space: the world's hypotheses.
@@ -108,22 +109,23 @@ class Hypotheses(Printed):
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
-        """What one can ask for: quantity -> its labels, None for a real number."""
+        """What one can ask about: name of a quantity -> its labels; None for a real number."""
         return {name: quantity.labels for name, quantity in self._quantities.items()}
 
     def define(self, name: str, definition: Definition) -> Self:
-        """Add a quantity of your own, to be asked for like any other; return the posterior.
+        """Add a quantity of your own, to be asked about like any other; return this object.
+
+        Conditions in words are saved along with a posterior. After loading, define functions again,
+        and the quantities whose conditions name them.
 
         Args:
-            name: of the quantity. One that was defined before may be defined anew.
-            definition: conditions in words (:mod:`phase_ppl.analysis.query`), which hold or do
-                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.query.Named`),
-                which returns a truth value, a whole number or a string, for a quantity with
-                categories (of which those of numbers have means too), or a real number. It is
-                called at once, once per distinct hypothesis.
-
-        Words are saved along with the posterior; define functions, and what is defined by them,
-        again after loading.
+            name: name of the quantity, a valid Python name. A quantity of your own may be defined
+                anew.
+            definition: one of two. Conditions in words (:mod:`phase_ppl.analysis.query`) give a
+                quantity that is true or false. A function of a hypothesis
+                (:class:`~phase_ppl.analysis.query.Named`) is called at once, once per distinct
+                hypothesis. If it returns truth values, whole numbers or strings, the quantity has
+                categories, and except for strings also a mean; if it returns floats, a real number.
 
         Example:
             ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
@@ -131,8 +133,8 @@ class Hypotheses(Printed):
 
         Raises:
             QueryError: the conditions cannot be read; the message points at the place.
-            InvalidSettingError: the name is taken or no name; or the function raises, or returns
-                NaN, something else or values of several kinds. The message names the hypothesis.
+            InvalidSettingError: the name is taken or no valid name; or the function raises, returns
+                something else, NaN, or values of several kinds. The message names the hypothesis.
         """
         check_new_name(name, self._quantities.keys() - self._defined.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
@@ -144,7 +146,7 @@ class Hypotheses(Printed):
 
     @property
     def definitions(self) -> dict[str, Definition]:
-        """What was defined: name -> conditions in words, or a function."""
+        """Quantities from :meth:`define`: name -> conditions in words, or a function."""
         return dict(self._defined)
 
     def _defining(self, others: Mapping[str, Definition]) -> Self:
@@ -173,27 +175,31 @@ class Hypotheses(Printed):
 
     @property
     def table(self) -> Rows:
-        """Codes or numbers of every quantity, row by row, and the weights."""
+        """The table: codes or numbers of every quantity (row,), and weights (row,) of sum 1."""
         return self._rows
 
     def by_frame(self) -> xr.Dataset | None:
-        """Return what each frame says of all agents' effective goals; None where it is not known.
+        """Return how each frame changes the log odds of all agents' goals; None: unknown.
 
-        It is known for the closed loop where a prior can be a table of all hypotheses:
-        in PHASE ``log_likelihood`` (time, goal_red, goal_green), in nats, as a frame counts, and
-        ``log_prior`` (goal_red, goal_green).
+        This is known for the closed loop, unless the world has too many hypotheses for a table.
+
+        Returns:
+            In PHASE ``log_likelihood`` (time, goal_red, goal_green), the log likelihood of a frame,
+            in nats, times what a frame counts (tempering); and ``log_prior`` (goal_red,
+            goal_green).
         """
         return None
 
     def marginal(self, name: str, *, given: Given = None) -> xr.DataArray:
-        """Return the probability of every label of a quantity with categories, sum 1."""
+        """Return (label,) the probability of every label of a quantity with categories, sum 1."""
         return self.joint(name, given=given)
 
     def joint(self, *names: str, given: Given = None) -> xr.DataArray:
-        """Return the joint probability of quantities with categories, a dim for each.
+        """Return the joint probability of quantities with categories, an array with a dim for each.
 
         Raises:
-            InvalidSettingError: twice the same name, no name, or too large a table.
+            InvalidSettingError: a name is given twice, there is no name, or the array has more than
+                10 million entries.
         """
         of = self._knowing(*names, given=given)
         labels = [of._quantity(name).categories() for name in _distinct(names)]
@@ -227,15 +233,15 @@ class Hypotheses(Printed):
         """Return P(event | given).
 
         Args:
-            given: what to condition on.
-            **event: quantity -> value. A value is a label, a list of labels of which any will
-                do, or for a strength an interval (low, high) in newtons.
+            given: what to condition on, as the class describes; None: nothing.
+            **event: quantity -> value. A value is a label; a list of labels, any of which will do;
+                or, for a strength, an interval (low, high) in newtons.
 
         Example:
             ``post.probability(relation="friendly", given={"goal_red": "get to green agent"})``
 
         Raises:
-            InvalidSettingError: no event, or a bad interval.
+            InvalidSettingError: no event is named, or an interval is invalid.
         """
         if not event:
             raise InvalidSettingError("name the event, as in probability(relation='friendly')")
@@ -243,15 +249,19 @@ class Hypotheses(Printed):
         return of._number(estimate.share, of._satisfied(event), given)
 
     def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
-        """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
+        """Return the ``n`` most probable labels of a quantity, each with its probability.
+
+        The most probable is first; ties are in label order. ``n`` is at least 1.
+        """
         n = whole_number("n", n)
         found = with_errors(self.marginal(name, given=given))
         return sorted(found, key=lambda entry: -entry[1])[:n]
 
     def mode(self, name: str, *, given: Given = None) -> Mode:
-        """Return the most probable label of a quantity, the first in label order of equals.
+        """Return the most probable label of a quantity; of equally probable ones, the first label.
 
-        Its ``.error`` is the probability that another label leads in truth.
+        It is a string whose ``.error`` is the probability that another label is in truth the most
+        probable one (:class:`~phase_ppl.analysis.estimate.Mode`).
         """
         of = self._knowing(name, given=given)
         labels = of._quantity(name).categories()
@@ -266,13 +276,13 @@ class Hypotheses(Printed):
         return Mode(label, doubt(mass, without, without_each, of._size_of(rows), luck))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
-        """Return the marginal MAP goals and relation, and whether it is sure that they lead.
+        """Return each agent's most probable goal and each pair's most probable relation.
 
         Returns:
-            quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
-            ``next_probability``; ``sure``: whether the probability exceeds 1/2 by :data:`SURE`
-            errors, if these are known, and it rests on enough. What was never simulated counts as
-            impossible; whether that matters, and whether the prior decides, ``diagnostics()`` says.
+            Quantity -> ``label``, its ``probability`` and ``error``; ``next``, the second most
+            probable label, and ``next_probability``; ``sure``: whether the answer is sure (see the
+            glossary). Goals that were never simulated count as impossible. ``diagnostics()`` says
+            whether this matters, and whether the prior decides the answer.
         """
         found = {}
         for name in (*self.goals_of.values(), *self.relations_of.values()):
@@ -290,9 +300,9 @@ class Hypotheses(Printed):
         return found
 
     def entropy(self, *names: str, given: Given = None) -> Estimate:
-        """Return the entropy, in nats, of the joint distribution of quantities with categories.
+        """Return the entropy of the joint distribution of quantities with categories, in nats.
 
-        It is that of the weights; of few draws it comes out too low.
+        It is the entropy of the weighted table; of few draws it comes out too low.
         """
         of = self._knowing(*names, given=given)
         codes = np.zeros(len(of._rows.weights), np.int64)
@@ -302,9 +312,9 @@ class Hypotheses(Printed):
         return of._number(_entropy_of_codes, codes, given)
 
     def mutual_information(self, first: str, second: str, *, given: Given = None) -> Estimate:
-        """Return how much two quantities with categories tell of each other, in nats.
+        """Return the mutual information of two quantities with categories, in nats.
 
-        It is that of the weights; of few draws it comes out too high.
+        It is computed from the weighted table; of few draws it comes out too high.
         """
         of = self._knowing(first, second, given=given)
         size = len(of._quantity(second).categories())
@@ -331,18 +341,18 @@ class Hypotheses(Printed):
         return of._number(estimate.sd, of._numbers(name), given)
 
     def median(self, name: str, *, given: Given = None) -> Estimate:
-        """Return the median of a quantity with numbers, the lower one of two."""
+        """Return the median of a quantity with numbers; the lower one of two middle values."""
         of = self._knowing(name, given=given)
         return of._number(estimate.median, of._numbers(name), given)
 
     def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
 
-        It is ``az.hdi`` of the draws, or where these have weights of 4000 equal ones, the quantiles
-        of their distribution.
+        ``az.hdi`` computes it, from the draws if they have equal weights, else from 4000 quantiles
+        of the weighted table.
 
         Returns:
-            dim ``bound``: lower, upper, with their errors.
+            (bound,) the ends "lower" and "upper", with their errors.
 
         Raises:
             InvalidSettingError: ``prob`` is not in (0, 1].
@@ -369,7 +379,7 @@ class Hypotheses(Printed):
     def query(self, question: str) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
 
-        :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of a method:
+        :mod:`phase_ppl.analysis.query` has the grammar. Most questions are answered by a method:
 
         * P(conditions): :meth:`probability`
         * P(name), P(name, name): :meth:`marginal`, :meth:`joint`
@@ -377,9 +387,9 @@ class Hypotheses(Printed):
         * sd, median, hdi, mode, top: the method of that name
         * odds(conditions), and a ratio of two numbers: a number with its error
 
-        The error of odds is to first order. In the error of a ratio,
-        errors that both numbers share cancel, if they come from leaving out sets of chains or
-        searches; the rest is to first order.
+        The error of odds is to first order. In the error of a ratio, errors that both numbers share
+        cancel, if they come from leaving out sets of chains or searches. The other errors count to
+        first order.
 
         Raises:
             QueryError: the question cannot be read, names something unknown, asks for what a
@@ -440,7 +450,7 @@ class Hypotheses(Printed):
         return estimate.ratio(one, other, (own[0], own[1], shared))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return one row per draw, simulation or hypothesis: labels, numbers, ``weight``.
+        """Return a row per draw, simulation or hypothesis: labels, numbers and ``weight``, sum 1.
 
         Columns of quantities from :meth:`define` hold what the function returned.
         """

@@ -51,25 +51,26 @@ _MOST_UNTRIED: Final = 0.5
 
 
 class Posterior(EventPosterior):
-    """Posterior over agents' goals, their relation and their strengths.
+    """Sampled posterior over agents' goals, their relation and their strengths.
 
-    Its methods for questions are those of :class:`phase_ppl.analysis.hypotheses.Hypotheses`;
-    :mod:`phase_ppl.analysis.quantities` lists the quantities. Goals such as ``goal_red`` are
-    effective. Goals such as ``stated_goal_red`` are stated, without alpha. Relation and scenario
-    follow from the two effective goals.
+    Methods for questions are described in :class:`phase_ppl.analysis.hypotheses.Hypotheses`;
+    :mod:`phase_ppl.analysis.quantities` lists the quantities. ``goal_red`` and the like are
+    effective goals; ``stated_goal_red`` and the like are stated goals, without alpha. Relation and
+    scenario follow from the two effective goals.
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count" or "stratified" (``phase_ppl.analysis.weights`` says when each is valid);
-            None: the run's default.
+        weights: what is weighted: "count", the draws, as the kernel weights them; or "stratified",
+            all simulations (see the glossary). ``phase_ppl.analysis.weights`` says when each is
+            valid. None: the run's default.
         burn_in: number of first draws of each chain that do not count. None: the run's default, a
             quarter if chains have twenty or more draws, else 0. Weights "stratified" ignore it:
             they use all simulations.
 
     Raises:
-        InvalidEventError: the tree lacks something; the message names it.
+        InvalidEventError: ``tree`` lacks something; the message names it.
         UnknownNameError: there is no such weighting.
-        InvalidSettingError: the tree cannot be weighted in this way.
+        InvalidSettingError: ``tree`` cannot be weighted in this way, or ``burn_in`` leaves no draw.
     """
 
     def __init__(
@@ -193,10 +194,10 @@ class Posterior(EventPosterior):
 
         Args:
             mcmc: the ``MCMC`` after its ``run``, with all sites sampled.
-            program: the program that was sampled; needed if the kernel does not have it.
+            program: the program that was sampled; needed if the kernel does not hold it.
 
         Raises:
-            InvalidSettingError: nothing was run yet, sites are missing, or the program is needed.
+            InvalidSettingError: nothing was run yet, sites are missing, or ``program`` is needed.
         """
         model: Any = getattr(mcmc.sampler, "program", None) if program is None else program
         model = getattr(mcmc.sampler, "model", None) if model is None else model
@@ -210,17 +211,17 @@ class Posterior(EventPosterior):
 
     @property
     def tree(self) -> xr.DataTree:
-        """The draws and simulations."""
+        """The draws and simulations, as ``phase_ppl.analysis.tree`` describes them."""
         return self._tree
 
     @property
     def weights(self) -> str:
-        """Name of the weighting in use."""
+        """Name of the weighting in use: "count" or "stratified"."""
         return self._weights
 
     @property
     def burn_in(self) -> int:
-        """How many draws at the beginning of each chain do not count."""
+        """Number of first draws of each chain that do not count."""
         return self._burn_in
 
     @property
@@ -229,16 +230,16 @@ class Posterior(EventPosterior):
 
     @property
     def log_evidence(self) -> estimate.Estimate:
-        """Log p(video) under the model's likelihood, nats.
+        """Log p(video) under the model's likelihood, in nats.
 
-        If the likelihood is tempered, so is this. The density is in units^-d for each frame, with d
-        = 8 in PHASE: x and y of each body.
+        If the likelihood is tempered, so is this. The density is per frame in units^-d, with d = 8
+        in PHASE: x and y of each body.
 
-        The kernels ``importance``, ``amis`` and ``smc`` estimate it. The first two have an error,
-        by the jackknife over chains. The error of ``smc`` is NaN: repeat the run with other seeds
-        to see it. The estimate is NaN if the kernel has none, if the prior was changed since, or if
-        a result of the closed loop was sampled: that result has its own ``log_evidence``. ``why``
-        of the estimate says which.
+        The kernels ``importance``, ``amis`` and ``smc`` estimate it. ``importance`` and ``amis``
+        give an error, by the jackknife over chains. The error of ``smc`` is NaN: repeat the run
+        with other seeds to see it. The estimate itself is NaN in three cases: the kernel gives
+        none, the prior was changed since, or the posterior of the closed loop was sampled, which
+        has its own ``log_evidence``. ``why`` of the estimate says which.
         """
         stats, why = self._tree["sample_stats"].dataset, ""
         if self._looked_up:
@@ -284,9 +285,10 @@ class Posterior(EventPosterior):
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
 
-        All simulations count, accepted or not. Its goals are stated goals; the simulator got
-        ``.effective_goals``. ``.relation`` and ``.scenario`` follow from these. The simulator is
-        noisy, so this is the best single simulation.
+        The log joint is log prior + log likelihood. All simulations count, accepted or not. The
+        simulator is noisy, so this is the best single simulation. The hypothesis' goals are stated
+        goals; the simulator got its ``.effective_goals``, which decide ``.relation`` and
+        ``.scenario``.
 
         Returns:
             A :class:`phase_ppl.Hypothesis`.
@@ -317,11 +319,11 @@ class Posterior(EventPosterior):
         return int(np.argmax(values))
 
     def replay(self) -> FloatArray:
-        """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
+        """Return (time, entity, [x, y, angle]) the stored simulation of the best hypothesis.
 
-        It is the simulation of :meth:`map` if a chain accepted it. Otherwise it is that of the draw
-        with the highest log joint, because only trajectories of draws are kept. Nothing is
-        simulated again.
+        It is the simulation of :meth:`map` if a chain accepted it. Otherwise it is the simulation
+        of the draw with the highest log joint, because only trajectories of draws are kept. Nothing
+        is simulated again. If the closed loop's table was sampled, it is the observed trajectory.
         """
         if "trajectory" not in self._tree[trees.SIMULATED].dataset:
             return self.observed()  # the closed loop conditions on it, frame by frame
@@ -335,9 +337,10 @@ class Posterior(EventPosterior):
         return np.asarray(trees.array(self._tree, "observed_data", "trajectory"), np.float64)
 
     def diagnostics(self) -> Diagnostics:
-        """Return diagnostics, with a verdict; see :mod:`phase_ppl.analysis.diagnostics`.
+        """Return diagnostics of the chains, with a verdict on whether to trust the posterior.
 
-        ``print`` shows it as a table.
+        It is a dictionary; :mod:`phase_ppl.analysis.diagnostics` lists its keys. ``print`` shows a
+        table.
         """
         found = diagnostics(
             self._counted,
@@ -353,18 +356,18 @@ class Posterior(EventPosterior):
     def over_time(self) -> xr.Dataset:
         """Return the marginals given the first frames, for every frame, in hindsight.
 
-        In hindsight: hypotheses were proposed from the whole video, and are weighted by how well
-        they explain it up to each frame. So this is not what an observer believed at the time.
-        Nothing is simulated.
+        Hypotheses were proposed from the whole video, and are weighted by how well they explain it
+        up to each frame. So this is not what an observer believed at the time. Nothing is
+        simulated.
 
-        Weights are ``"stratified"``, whatever ``weights`` is in use. If proposals have no known
+        Weights are ``"stratified"``, whatever :attr:`weights` is. If proposals have no known
         density, they are ``"count"``, whose draws show little of the belief at early frames.
 
         Returns:
-            ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
-            another world: probabilities (time, label). Labels of ``goal_red`` are in
-            ``goal_red_is``, and so on. ``time`` is in simulated seconds. Attributes: ``hindsight``,
-            a warning in words, and ``weights``, the weighting used.
+            Probabilities (time, label) of ``goal_red``, ``goal_green``, ``relation`` and
+            ``scenario``, or of the goals and relations of another world. Labels of ``goal_red`` are
+            in ``goal_red_is``, and so on. ``time`` is in simulated seconds. The attribute
+            ``hindsight`` is a warning in words; ``weights`` is the weighting used.
         """
         weighting, rows, weights = so_far(self._counted)
         codes = self._words.completed(self._simulated(rows))
@@ -402,12 +405,12 @@ class Posterior(EventPosterior):
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
         Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
-        with ``sample_stats``.
+        and the group ``sample_stats``.
 
         Each label of a goal or relation has an indicator, 0 or 1. An indicator that is constant
-        within every half of a chain has no R-hat and is left out. The posterior's attribute
-        ``left_out`` (JSON) names these. With fewer than ten draws per chain ArviZ's effective sizes
-        do not depend on the draws: see :meth:`diagnostics`.
+        within every half of a chain has no R-hat and is left out; the posterior's attribute
+        ``left_out`` (JSON) names it. With fewer than ten draws per chain ArviZ's effective sizes do
+        not depend on the draws: see :meth:`diagnostics`.
 
         Raises:
             InvalidSettingError: the draws have weights of their own, so they are not chains.
@@ -519,12 +522,14 @@ def load_posterior(
 
     Args:
         path: the .nc file.
-        weights, burn_in: of a sampled posterior, as in :class:`Posterior`; by default those that it
-            was saved with.
+        weights: weighting of a sampled posterior, as in :class:`Posterior`; by default the saved
+            one.
+        burn_in: burn-in of a sampled posterior, as in :class:`Posterior`; by default the saved one.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: ``weights`` or ``burn_in`` for a posterior that has no draws.
+        InvalidSettingError: ``weights`` or ``burn_in`` is given for a posterior of the closed loop,
+            which has no draws.
         UnknownNameError: there is no such weighting.
     """
     from phase_ppl.analysis.stepwise_posterior import FRAME, StepwisePosterior

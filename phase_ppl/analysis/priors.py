@@ -66,8 +66,8 @@ __all__ = [
 class Summary(Hypotheses):
     """What a prior says, to be asked like a posterior; :func:`summary` makes it.
 
-    ``print`` shows the probable goals, relation, scenario and strengths, who helps or hinders, and
-    the program's further sites; ``to_dict`` has goals, relations, scenario and strengths.
+    ``print`` shows the probable goals, relation, scenario and strengths, who helps or hinders whom,
+    and the prior's further sites. ``to_dict`` has goals, relations, scenario and strengths.
     """
 
     def __init__(
@@ -106,7 +106,10 @@ class Summary(Hypotheses):
         return Jackknife(self._rows.weights[None], 0.0) if self._is_summed else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return ``goals``, ``relation``, ``scenario``, ``strengths`` and ``errors`` of each."""
+        """Return goals, relations, scenario, strengths and their errors, in JSON's types.
+
+        Keys are those of :meth:`phase_ppl.Posterior.summary`.
+        """
         return dict(plain(answers(self)))
 
     def __str__(self) -> str:
@@ -133,20 +136,26 @@ def summary(
     *,
     world: World | None = None,
 ) -> Summary:
-    """Return what a prior says of goals, relation, scenario and strengths before a run.
+    """Return what a prior says of goals, relation, scenario and strengths before a video is seen.
 
-    Goals are effective ones, so that it shows what a prior over stated goals and ``alpha`` comes
-    to: help and harm of 3 : 1 in ``alpha`` come to less in the relation, since goals also agree
-    and clash by chance. Strengths are at the closed loop's levels.
+    Goals are effective goals. So it shows what a prior over stated goals and ``alpha`` comes to.
+    For example, help and harm of 3 : 1 in ``alpha`` come to less in the relation, since goals also
+    agree and clash by chance. Strengths are at the closed loop's levels (``Tracking.strengths``).
 
     Args:
-        prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one.
-        event: for a prior that looks at the video.
-        world: whose agents and goals; by default the event's, or PHASE.
+        prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made prior
+            (:func:`available`).
+        event: the event, for a prior that looks at the video.
+        world: the world whose agents and goals the prior is about; by default the event's, else
+            PHASE.
+
+    Returns:
+        A table of all hypotheses, or of draws where they are too many. It answers questions such as
+        ``.marginal("relation")``; ``print`` shows it.
 
     Raises:
-        InvalidSettingError: it cannot work, or looks at a video and there is no event; or event or
-            world are none.
+        InvalidSettingError: the prior cannot work, or looks at a video and there is no event; or
+            ``event`` or ``world`` has another type, or they disagree.
         UnknownNameError: there is no prior of that name.
     """
     instance_of("event", event, (Event, type(None)), "a phase_ppl.Event")

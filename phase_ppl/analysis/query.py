@@ -507,8 +507,9 @@ _SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_gr
 class Named:
     """A hypothesis as functions of :meth:`Posterior.define` see it: ``h.goal_red`` and so on.
 
-    Its attributes are all quantities of the posterior, those defined before too: labels as
-    strings, strengths as floats, ``alpha`` as a pair such as (1, 0). Goals are effective ones.
+    Its attributes are all quantities of the posterior, those of :meth:`Posterior.define` too:
+    labels as strings, strengths as floats, ``alpha`` as a pair such as (1, 0). Goals are effective
+    goals.
     """
 
     __slots__ = ("_columns", "_quantities", "_row")

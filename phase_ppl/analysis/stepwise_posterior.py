@@ -50,12 +50,10 @@ FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 class StepwisePosterior(EventPosterior):
     """The closed loop's posterior over all agents' goals, relations and strengths.
 
-    Its methods for questions are those of :class:`phase_ppl.analysis.hypotheses.Hypotheses`. It
-    also has ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
+    Methods for questions are described in :class:`phase_ppl.analysis.hypotheses.Hypotheses`.
 
-    It is a sum over all hypotheses. With more than
-    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES` of them, it is a sum over that many
-    draws.
+    The posterior is a sum over all hypotheses, or, with more than
+    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES`, over that many draws.
 
     The terms of the sum are approximate. Searches estimate the agents' policies: ``.error`` of
     every answer is the resulting standard error, by the jackknife over the sets of searches
@@ -64,16 +62,16 @@ class StepwisePosterior(EventPosterior):
 
     The posterior is tempered if the likelihood's ``weight`` is not 1, or for strengths
     ``Tracking.strength_weight``. Frames then count less than they would under the model
-    (:class:`phase_ppl.StepwiseLikelihood` says how these were chosen).
+    (:class:`phase_ppl.StepwiseLikelihood` says how these numbers were chosen).
 
     With a simulator of your own nothing is filtered, strengths are part of the hypotheses, and by
     default a frame counts in full. If the simulator has a density of the next frame, the posterior
     is exact and errors are 0. Otherwise errors come from the jackknife over parts of its samples.
 
     Args:
-        found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
-        frame: the posterior is given the frames up to this one; by default all.
-        prior: the program whose masses ``found`` has, for questions about further sites of it.
+        found: what the closed loop read (:mod:`phase_ppl.analysis.stepwise_table`).
+        frame: the last frame that counts; by default the last of the video.
+        prior: the prior's program, for questions about sites beyond those of a hypothesis.
         table: table of ``found``, if it was made before.
 
     Raises:
@@ -105,14 +103,15 @@ class StepwisePosterior(EventPosterior):
 
     @functools.cached_property
     def sites(self) -> WithSites:
-        """The table of hypotheses and of the sites that a prior of one's own samples beside them.
+        """The table of hypotheses and of the further sites that a prior of your own samples.
 
         Questions that name such a site are answered from it
-        (:mod:`phase_ppl.analysis.users_sites`): exactly, where these sites have up to 64
-        combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
+        (:mod:`phase_ppl.analysis.users_sites`): exactly, if these sites have up to 64 combinations
+        of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
 
         Raises:
-            InvalidSettingError: the prior has none, or is not known, as after loading.
+            InvalidSettingError: the prior has no further sites, or its program is unknown, as after
+                loading.
         """
         if not self._site_names:
             raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
@@ -135,7 +134,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
-        """What one can ask for: quantity -> its labels, None for a real number."""
+        """What one can ask about: name of a quantity -> its labels; None for a real number."""
         if self._prior is None or not self._site_names:
             return super().quantities
         return {**super().quantities, **self.sites.quantities}
@@ -198,26 +197,26 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def planner_seeds(self) -> int:
-        """Independent sets of beliefs and searches that were made; or parts of samples."""
+        """Number of sets of searches; with a simulator of your own, of parts of its samples."""
         return self._table.n_sets
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
+        """What the closed loop read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
         return self._found
 
     @property
     def prior(self) -> Callable[..., object] | None:
-        """The program of the prior, as far as it is known; None after loading."""
+        """The prior's program; None: unknown, as after loading."""
         return self._prior
 
     @property
     def frame(self) -> int:
-        """The last frame that is counted."""
+        """The last frame that counts."""
         return self._frame
 
     def at(self, frame: int) -> StepwisePosterior:
-        """Return the posterior given the frames from 0 to ``frame`` only.
+        """Return the posterior given only the frames from 0 to ``frame``.
 
         Raises:
             InvalidSettingError: there is no such frame.
@@ -272,28 +271,26 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def log_evidence(self) -> Estimate:
-        """Log p(s_1..t | s_0) of the frames so far, nats.
+        """Log p(s_1..t | s_0) of the frames s so far: log sum_h P(h) prod_t p(s_t | s_<t, h).
 
-        The density is in 1 / (unit^8 rad^2) for each frame.
-
-        It is log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight``
-        of the likelihood. Only evidence for strengths stays tempered
+        It is in nats; the density is per frame, in PHASE in 1 / (unit^8 rad^2). Each frame counts
+        in full, for any ``weight`` of the likelihood. Only evidence for strengths stays tempered
         (``Tracking.strength_weight``).
 
         Of two priors, or of two models with the same tracking, the one with the higher log evidence
         explains the video better. Do not compare priors that differ in strengths by it. Differences
         tend to be too large, because a model that errs does so for many frames in a row.
 
-        Its error is by the jackknife over sets of searches; NaN with one set.
+        The error is by the jackknife over sets of searches; NaN with one set.
         """
         return self._table.log_evidence(self._frame)
 
     def surprise(self) -> FloatArray:
-        """Return (time,) nats by which each frame was less probable than a perfect match.
+        """Return (time,) the nats by which each frame was less probable than a perfect match.
 
-        A perfect match is a frame exactly where an action puts it, if that action were certain. The
-        probability of a frame is under the posterior given the frames before. The first frame has
-        0. With a simulator of your own all are NaN, because no perfect match is known.
+        A perfect match is a frame exactly where an action puts it, if that action were certain. A
+        frame's probability is under the posterior given the frames before. The first frame has 0.
+        With a simulator of your own all are NaN, because no perfect match is known.
         """
         if self._table.users_simulator:
             return np.full(self._frame + 1, np.nan)
@@ -322,17 +319,18 @@ class StepwisePosterior(EventPosterior):
             A dictionary. Numbers in nats are None if they are unknown.
 
             * ``frames``: number of frames so far.
-            * ``planner_seeds``, ``weight``: of the likelihood.
-            * ``samples``: of a simulator of your own (0: it has a density); else None.
+            * ``planner_seeds``: number of sets of searches. ``weight``: what a frame counts.
+            * ``samples``: samples drawn of a simulator of your own (0: it has a density); else
+              None.
             * ``leading``: the most probable goals and relation (:meth:`leaders`). ``decided``:
               whether all of them are sure.
-            * ``surprise_median``: of :meth:`surprise`, nats, without the part that no action
+            * ``surprise_median``: median of :meth:`surprise`, nats, without the part that no action
               explains.
-            * ``surprising_share``: share of frames in which it exceeds ``surprise_reference``.
-            * ``unexplained_most``: largest part of a frame that no action explains, nats.
-              ``unexplained_frames``: the frames in which it is large.
-            * What :func:`phase_ppl.analysis.verdict.of_tracks` says.
-            * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``
+            * ``surprising_share``: share of frames in which this exceeds ``surprise_reference``.
+            * ``unexplained_most``: largest part of a frame's surprise that no action explains,
+              nats. ``unexplained_frames``: the frames in which that part is large.
+            * Facts about the tracks: the keys of :func:`phase_ppl.analysis.verdict.of_tracks`.
+            * The verdict: ``trust``, ``answer``, ``checks``, ``next``, ``verdict``
               (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
@@ -367,11 +365,11 @@ class StepwisePosterior(EventPosterior):
         """Return the marginals at every frame, given the frames so far.
 
         Returns:
-            ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or ``goal_<agent>`` and
-            ``relation_<one>_<other>`` of another world: probabilities (time, label). Labels of
-            ``goal_red`` are in ``goal_red_is``, and its standard errors in ``goal_red_error`` (NaN
-            with a single set of searches); and so on. ``time`` is in simulated seconds. The
-            attribute ``filtering`` says in words what these are.
+            Probabilities (time, label) of ``goal_red``, ``goal_green``, ``relation`` and
+            ``scenario``, or of ``goal_<agent>`` and ``relation_<one>_<other>`` in another world.
+            Labels of ``goal_red`` are in ``goal_red_is``, its standard errors in ``goal_red_error``
+            (NaN with a single set of searches), and so on. ``time`` is in simulated seconds. The
+            attribute ``filtering`` says in words what these probabilities are.
         """
         words, n = self._words, self._frame + 1
         columns = words.completed(self._table.columns())

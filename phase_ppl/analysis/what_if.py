@@ -54,13 +54,14 @@ _SHOWN: Final = 3  # goals of an agent that are printed
 class WhatIf(Printed):
     """Simulations of hypotheses drawn from a posterior, unchanged and perhaps with a change.
 
-    Errors come from the number of simulations only; the posterior's own error is not included.
+    The axis ``world`` has "as it is" and, if there was a change, "changed". Errors come from the
+    number of simulations only; the posterior's own error is not included.
 
     Attributes:
         event_id: id of the event.
         change: the change, in words; "": none.
         begin: first frame of the simulations; 0 is the start.
-        scenes: one per world: as it is, then changed.
+        scenes: (world,) the scene as it is, then the changed one.
         goals: (simulation, agent) effective goals of the unchanged hypotheses, indices into
             ``world.goals``.
         poses: (world, simulation, time, entity, [x, y, angle]), units and radians.
@@ -79,12 +80,12 @@ class WhatIf(Printed):
 
     @property
     def world(self) -> World:
-        """Whose agents and goals these are."""
+        """The world of the event: its agents and goals."""
         return self.scenes[0].world
 
     @functools.cached_property
     def tracks(self) -> xr.DataArray:
-        """(world, simulation, time, entity, coord), units and radians; NaN for removed entities.
+        """(world, simulation, time, entity, coord) poses, units and radians; NaN: removed entity.
 
         ``time`` is in simulated seconds from the start of the event.
         """
@@ -100,12 +101,12 @@ class WhatIf(Printed):
         """Return the time at which each simulation reaches an agent's goal.
 
         A goal to get something somewhere is reached when that is first true. A goal to get or keep
-        it away is reached if it is away at the end. A removed entity counts as away from
+        something away is reached if it is away at the end. A removed entity counts as away from
         everything.
 
         Args:
-            agent: its name, such as "red agent", or the first word of that.
-            goal: a goal of the agent; by default that of each unchanged hypothesis.
+            agent: name of the agent, such as "red agent", or the first word of the name.
+            goal: a goal of the agent; by default its goal in each unchanged hypothesis.
 
         Returns:
             (world, simulation) simulated seconds from the start of the event; inf: not reached.
@@ -145,20 +146,21 @@ class WhatIf(Printed):
         return any(self._wanted_near(literal, holder) is not None for literal in literals)
 
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
-        """Return in each world the probability that an agent's goal is reached."""
+        """Return for each world the probability of reaching a goal, as in :meth:`reached`."""
         shares = np.isfinite(self.reached(agent, goal).values).mean(axis=1).tolist()
         return [Estimate(share, cautious(share, len(self.goals))[1]) for share in shares]
 
     def difference(self, agent: str, goal: str | None = None) -> Estimate:
         """Return by how much the change raises the probability that an agent reaches its goal.
 
-        The simulations are paired: both of a pair have the same hypothesis and seed.
+        Simulations are paired: both of a pair have the same hypothesis and seed.
 
         Args:
-            agent, goal: as in :meth:`reached`.
+            agent, goal: the agent and its goal, as in :meth:`reached`.
 
         Raises:
             InvalidSettingError: nothing was changed.
+            UnknownNameError: there is no such agent or goal.
         """
         if len(self.scenes) < len(WORLDS):
             raise InvalidSettingError("nothing was changed: there is no difference to speak of")
@@ -172,11 +174,11 @@ class WhatIf(Printed):
         """Write one simulation as a film, with both worlds side by side if there was a change.
 
         Args:
-            path: of the film, which ends in ".mp4".
+            path: the file, ending in .mp4.
             simulation: number of the simulation, from 0.
 
         Raises:
-            OutputError: another ending than .mp4, or the file cannot be written.
+            OutputError: ``path`` has another ending, or cannot be written.
         """
         first, *others = (world[simulation] for world in self.poses)
         beside: dict[str, Any] = {}

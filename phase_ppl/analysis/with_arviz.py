@@ -174,7 +174,12 @@ def _ess_between(chains: FloatArray) -> float:
 
 
 def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return Pareto-smoothed weights (row, draw), sum 1, and k (row,), of log importance ratios."""
+    """Smooth the importance weights of each row of ``log_ratios`` (row, draw), as ArviZ does.
+
+    Returns:
+        The weights (row, draw), each row summing to 1; and the Pareto shape k of each row (row,).
+        Above 0.7 a row's weights are unreliable.
+    """
     if _is_new():
         from arviz_stats.base import array_stats
 
@@ -188,7 +193,15 @@ def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
-    """Return datasets (chain, draw, ...) as ArviZ's container: InferenceData, or a DataTree."""
+    """Return datasets as the container of the installed ArviZ.
+
+    It is an ``arviz.InferenceData`` for ArviZ before 1, otherwise an :class:`xarray.DataTree`.
+
+    Args:
+        groups: name of a group, such as "posterior" -> its dataset, with dims (chain, draw, ...)
+            where it holds draws.
+        attrs: attributes of the whole container; None: no attributes.
+    """
     if not _is_new():
         return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
     data = xr.DataTree.from_dict(dict(groups))

@@ -108,13 +108,13 @@ class Calibration(Printed):
     """How well calibrated a model is on videos drawn from it. ``print`` shows it.
 
     Attributes:
-        table: a row per video and quantity. Columns: ``event`` and ``quantity``; ``rank``, that of
-            the truth among ``n`` draws of the posterior; and ``place``, from 0 to 1, (rank + u) /
-            (n + 1) with a random u. Goals and relations also have the probability of the ``truth``
-            and of the ``top`` answer; ``right``, whether that is the truth (1 or 0); ``log_score``
-            of the truth, nats; and ``expected``, the log score that the posterior expects, nats.
-            Strengths have NaN there.
-        evaluation: the answers; its events are the videos.
+        table: a row per video and quantity. Columns: ``event`` and ``quantity``; ``rank``, the rank
+            of the truth among ``n`` draws of the posterior; and ``place``, from 0 to 1, (rank + u)
+            / (n + 1) with a random u. For goals and relations also the probability of the ``truth``
+            and of the ``top`` answer; ``right``, whether the top answer is the truth (1 or 0);
+            ``log_score``, the truth's log probability with a lapse, nats; and ``expected``, the log
+            score that the posterior expects, nats. For strengths these are NaN.
+        evaluation: the evaluation with the answers; its events are the videos.
         notes: known reasons why the model cannot be calibrated.
     """
 
@@ -126,27 +126,31 @@ class Calibration(Printed):
     def summary(self) -> pd.DataFrame:
         """A row per quantity.
 
-        Columns: ``n`` videos; ``rank``, the mean place of the truth (even: 0.5), and ``p_even``, by
-        Kolmogorov and Smirnov's test of even places. For goals and relations the share of ``right``
-        answers with its 95 % interval ``low`` to ``high``; ``confidence``, their mean probability;
-        mean ``log_score`` and what was ``expected``, nats; and ``p_score``, the probability of such
-        a difference by chance. For that, 10 000 sets of truths are drawn from the stated
-        probabilities; to judge scores that are too low, these are mixed with the lapse of log
-        scores. Last ``verdict``, in words.
+        Columns: ``n``, number of videos; ``rank``, the mean place of the truth (calibrated: 0.5);
+        ``p_even``, the p-value of Kolmogorov and Smirnov's test that places are uniform. For goals
+        and relations also the share of ``right`` answers with its 95 % interval ``low`` to
+        ``high``; ``confidence``, the answers' mean probability; mean ``log_score`` and ``expected``
+        log score, nats; and ``p_score``, the probability of such a difference between them by
+        chance. For that, 10 000 sets of truths are drawn from the stated probabilities; to judge
+        scores that are too low, these are mixed with the lapse of log scores. The last column is
+        the ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
         found = pd.DataFrame.from_dict(rows, orient="index", columns=[*_SUMMARY])
         return found.rename_axis("quantity")
 
     def reliability(self, quantity: str) -> pd.DataFrame:
-        """Return how often what was said with a probability is so.
+        """Return how often what was said with a probability is true.
 
         Args:
-            quantity: a goal or a relation: bins of the top answers, of as many videos each, with
-                the mean ``probability`` and the ``share`` of right ones. Or a strength: central
-                intervals of the posterior by their ``probability``, and the ``share`` that holds
-                the truth. Either with the 95 % interval ``low`` to ``high`` of the share (Clopper
-                and Pearson) and the number ``n`` of videos.
+            quantity: a goal, a relation or a strength.
+
+        Returns:
+            For a goal or a relation a row per bin of top answers, of as many videos each: their
+            mean ``probability`` and the ``share`` of right ones. For a strength a row per central
+            interval of the posterior: its ``probability`` and the ``share`` of intervals that hold
+            the truth. Both have the 95 % interval ``low`` to ``high`` of the share (Clopper and
+            Pearson) and the number ``n`` of videos.
 
         Raises:
             UnknownNameError: there is no such quantity.
@@ -270,33 +274,33 @@ def calibrate(
     whole simulation. It is drawn frame by frame, by ``next_frames``, if the simulator has nothing
     else or the model's likelihood is a :class:`phase_ppl.StepwiseLikelihood`. A likelihood with a
     method ``replicate``, such as :class:`phase_ppl.RadialLikelihood`, adds its noise to positions.
-    For a model whose ``likelihood`` is None there is no noise.
+    If the model's ``likelihood`` is None, there is no noise.
 
     If a body leaves the arena or the simulator fails, hypothesis and video are drawn anew. This
     does not change the posterior given a valid video.
 
     A posterior can be calibrated only if videos are drawn from its likelihood. Videos of the
-    package's own simulator are not quite. The closed loop takes actions to be more random than
-    they are there. Its likelihood and the default one of kernels are tempered; the result says
+    package's own simulator are not quite: the closed loop takes actions to be more random than they
+    are there. Its likelihood and the default likelihood of kernels are tempered; the result says
     so.
 
     Args:
-        model: prior, simulator and likelihood.
-        n: number of videos. Default: 100.
-        reader: what infers, as ``phase_ppl.evaluate`` takes it; by default the model itself.
-            Another model shows the effect of a wrong assumption.
-        frames: length of each video, in frames. Default: 31.
-        scenes: a world or its name, for random scenes; or scenes, taken in turn. Default: PHASE.
-        out: folder to keep everything in, as :func:`phase_ppl.evaluate` does, and the table; by
+        model: the model: prior, simulator and likelihood.
+        n: number of videos.
+        reader: what infers, as ``phase_ppl.evaluate`` takes a model; by default ``model``. Another
+            model shows the effect of a wrong assumption.
+        frames: length of each video, in frames.
+        scenes: a world or its name, for random scenes; or scenes, taken in turn.
+        out: folder to keep the evaluation (see :func:`phase_ppl.evaluate`) and the table in; by
             default nothing is kept.
         resume: whether to continue in ``out``, if it holds a calibration; ``n`` may be larger.
             Videos are drawn again, which takes little time.
         workers, executor, progress: as in :func:`phase_ppl.evaluate`.
-        seed: a whole number >= 0. The same seed gives the same videos and answers.
+        seed: seed of videos and answers, a whole number >= 0.
         **options: options of :func:`phase_ppl.infer`, such as ``kernel="local_mh"``, ``chains=15``.
 
     Raises:
-        SimulationError: the simulator fails, draws no videos or draws none that can be an event;
+        SimulationError: the simulator fails, draws no videos, or draws none that can be an event;
             the message says why.
         InvalidSettingError: ``model`` is not a ``phase_ppl.Model``, a number is out of range, or
             there are no scenes.

@@ -140,8 +140,9 @@ class ModelComparison(Printed):
 
     Attributes:
         events: events that all models were asked about.
-        entries: the models, in the given order.
-        settings: ``margin`` of equivalence, ``against``, ``seed`` and ``resamples``.
+        entries: the models with their answers, in the given order.
+        settings: the arguments ``margin``, ``against``, ``seed`` and ``resamples`` of
+            :func:`phase_ppl.compare_models`.
         notes: remarks about the events.
     """
 
@@ -157,10 +158,10 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def metrics(self) -> dict[str, dict[str, Any]]:
-        """Model -> its metrics (:mod:`phase_ppl.evaluation.metrics`).
+        """Model -> its metrics over the events that it predicts.
 
-        They include ``cpu_seconds`` and ``seconds``, means per event; None: unknown. Each model's
-        metrics are over the events that it predicts.
+        :mod:`phase_ppl.evaluation.metrics` lists them. ``cpu_seconds`` and ``seconds`` are added,
+        means per event; None: unknown.
         """
         seed = self.settings["seed"]
         found = metrics_of(self.events, self._predictions, seed)
@@ -174,14 +175,15 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """People's accuracy (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
+        """People's accuracy (:func:`phase_ppl.human_accuracy`)."""
         return human_accuracy(self.events)
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
-        """Paired differences, see :func:`differences_of`.
+        """Differences between the scores of two models on the events that both predict.
 
-        ``pandas.DataFrame(comparison.differences)`` is a table of them.
+        It is a list of rows, for ``pandas.DataFrame``;
+        :func:`~phase_ppl.evaluation.comparison.differences_of` describes their keys.
         """
         return differences_of(
             self.events, self._predictions, against=self.settings["against"], **self._drawn
@@ -189,9 +191,10 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def equivalence(self) -> list[dict[str, Any]]:
-        """Models minus people, see :func:`equivalence_of`.
+        """Differences between models' accuracy and people's, with a test of equivalence.
 
-        Empty where no judged event has truth.
+        It is a list of rows; :func:`~phase_ppl.evaluation.comparison.equivalence_of` describes
+        their keys. It is empty if no judged event has truth.
         """
         return equivalence_of(
             self.events, self._predictions, margin=self.settings["margin"], **self._drawn
@@ -199,7 +202,7 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def sources(self) -> list[Source]:
-        """Everybody who answered, people first, with metrics; as figures and pages show them."""
+        """Everybody who answered, people first, with metrics and figures' labels and colours."""
         people = f"scripted {PEOPLE}" if rehearsed(self.events) else PEOPLE
         judged = peoples_answers(self.events)
         found = [
@@ -214,7 +217,7 @@ class ModelComparison(Printed):
 
     @property
     def tables(self) -> dict[str, list[Table]]:
-        """Heading -> its tables of text, as they are printed and on the page."""
+        """Heading -> its tables of text, as ``print`` and a report's page show them."""
         margin, against = self.settings["margin"], self.settings["against"]
         first = None if against else self.models[0]
         return {
@@ -225,7 +228,7 @@ class ModelComparison(Printed):
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per model; columns (measure, part), parts "value", "ci_low" and "ci_high"."""
+        """A row per model; columns (measure, part), parts "value", "ci_low", "ci_high" (95 %)."""
         columns: dict[tuple[str, str], list[Any]] = {}
         for measure in _TABLE:
             found = [at(self.metrics[name], measure) for name in self.models]
@@ -234,17 +237,17 @@ class ModelComparison(Printed):
         return pd.DataFrame(columns, index=pd.Index(self.models, name="model"), dtype=float)
 
     def evidence(self) -> pd.DataFrame:
-        """Return log p(video) under each model, from the posteriors that evaluations have kept.
+        """Return log p(video) under each model, from the posteriors that the evaluations kept.
 
         Returns:
             A row per event and model: ``log_evidence`` of the posterior, nats, and its Monte-Carlo
             ``error`` (NaN: unknown); the ``difference`` from the model ``against``, or from the
-            first, and ``difference_error``, as of independent runs; and a ``note``, why something
-            is unknown. Events without a posterior of a model are left out.
+            first model, and ``difference_error``, as for independent runs; and a ``note``, why
+            something is unknown. Rows without a posterior are left out.
 
         Raises:
-            InvalidSettingError: no posteriors were kept, or some are of the closed loop and some of
-                simulations, whose densities are of different things.
+            InvalidSettingError: no posteriors were kept; or some are of the closed loop and some of
+                kernels, whose densities are of different things.
         """
         rows, kinds = [], set()
         for one in self.entries:
@@ -272,10 +275,10 @@ class ModelComparison(Printed):
         return found.assign(note=found.pop("note"))
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write everything into a folder: comparison.json and events.json.
+        """Write everything into a folder, as comparison.json and events.json; return the folder.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: the folder or a file cannot be written.
         """
         path = writable_folder(folder)
         record = {
@@ -294,7 +297,7 @@ class ModelComparison(Printed):
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> ModelComparison:
-        """Read a comparison that :meth:`save` wrote; all numbers follow from its answers.
+        """Read a comparison that :meth:`save` wrote; numbers are computed anew from its answers.
 
         Raises:
             InvalidEventError: there is no such folder, or a file in it is damaged.
@@ -414,7 +417,7 @@ def differences_of(
 ) -> list[Row]:
     """Return paired differences between models' scores, for every pair and measure.
 
-    With ``against`` the others are compared with that model alone. All pairs have the same
+    With ``against`` the other models are compared with this model alone. All pairs have the same
     resamples of the events.
 
     Returns:

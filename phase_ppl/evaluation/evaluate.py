@@ -63,10 +63,10 @@ _asked = itertools.count(1)
 
 
 class EvaluationInterrupted(KeyboardInterrupt):
-    """The evaluation was interrupted; finished events are kept.
+    """A KeyboardInterrupt: the evaluation was interrupted; finished events are kept.
 
     Attributes:
-        evaluation: of the events that were finished.
+        evaluation: the evaluation of the events that were finished.
     """
 
     def __init__(self, evaluation: Evaluation) -> None:
@@ -101,9 +101,9 @@ def evaluate(
     follow. A bad setting of a named model is raised at once. If a worker process dies, its event is
     tried once more.
 
-    If people judged at moments of a film, a posterior is read at the frame of each moment. One of
-    a kernel is read in hindsight: its simulations were chosen by the whole film. A model without a
-    posterior is asked about the film cut at that frame.
+    If people judged at moments of a film, a posterior is read at the frame of each moment. A
+    kernel's posterior is read in hindsight: its simulations were chosen by the whole film. A model
+    without a posterior is asked about the film cut at that frame.
 
     The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
     results do not depend on the number of workers, nor on order and choice of events.
@@ -121,8 +121,8 @@ def evaluate(
               with the kernel that ``kernel=...`` names.
             * A function ``(scene, observation, seed)``. It returns a :class:`phase_ppl.Prediction`,
               a posterior or a mapping such as
-              ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In other
-              worlds than PHASE the keys are ``goal_<agent>`` and ``relation_<one>_<other>``.
+              ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``.
+              :func:`phase_ppl.questions_of` has the keys in other worlds.
         out: folder to keep all results in (:mod:`phase_ppl.evaluation.folder`), event by event; by
             default nothing is kept.
         workers: largest number of processes; by default one per usable core. With 1 the model runs
@@ -131,31 +131,31 @@ def evaluate(
         executor: any PEP 3148 executor to run the model in, such as that of a ``dask.distributed``
             client. It is not shut down. Models that cannot run in parallel do not use it.
         resume: whether to continue the evaluation in ``out``, if there is one. Finished events are
-            not predicted again, failed ones are. Settings and events must be the same. Further
+            not predicted again, failed events are. Settings and events must be the same. Further
             events may be added; truth and judgments may have changed.
-        limit: only the first ``limit`` events, in the order given; by default all.
-        seed: a whole number >= 0.
+        limit: number of events to ask about, the first in the order given; by default all.
+        seed: the seed that the events' seeds follow from, a whole number >= 0.
         judgments: people's judgments, in place of those in the events: a file
             (:func:`phase_ppl.load_judgments`) or a study.
         progress: whether to show a bar on stderr; by default if stderr is a terminal.
         observer: turns the model's answers into those of a person who watches. "people", the
             package's own; the file of a fitted observer; a result of :func:`phase_ppl.fit_people`;
             or any other :class:`phase_ppl.Onlooker`. By default none.
-        **options: options of a named model; for a ``Model``, those of :func:`phase_ppl.infer`. A
+        **options: options of a named model; for a ``Model``, options of :func:`phase_ppl.infer`. A
             function takes none.
 
     Raises:
-        InvalidEventError: the events, their judgments or predictions cannot be read; two have the
-            same id; or the results in ``out`` are damaged.
-        InvalidSettingError, UnknownNameError: a setting that cannot be used; events of several
+        InvalidEventError: the events, their judgments or predictions cannot be read; two events
+            have the same id; or the results in ``out`` are damaged.
+        InvalidSettingError, UnknownNameError: a setting cannot be used; events are of several
             worlds, or of a world that the model does not know; or ``out`` holds an evaluation with
             other settings, which the message names.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         SimulationError: the executor takes no more work.
         AnswerError: the model failed at every event; the message has the first failure.
-        EvaluationInterrupted: Ctrl-C.
+        EvaluationInterrupted: Ctrl-C was pressed.
 
-    The last three carry the finished events as ``evaluation``.
+    The last three errors have the evaluation of the finished events as ``.evaluation``.
     """
     whole_number("seed", seed, minimum=0)
     slots = slots_of(workers, executor)

@@ -58,10 +58,10 @@ class Evaluation(Printed):
 
     Attributes:
         events: all events, in the order given.
-        predictions: event id -> prediction, of the events that have one.
-        failures: event id -> what went wrong, of the events at which the model failed.
+        predictions: event id -> prediction, for the events that have one.
+        failures: event id -> what went wrong, for the events at which the model failed.
         settings: all that determines the predictions: ``model``, ``options``, ``seed``,
-            ``versions``, and ``events``, id -> checksum of scene and observation.
+            ``versions``, and ``events``: id -> checksum of scene and observation.
         folder: folder that keeps the evaluation; None: it is not kept.
         notes: remarks, such as about damaged predictions.
     """
@@ -77,8 +77,8 @@ class Evaluation(Printed):
     def cost(self) -> dict[str, Any]:
         """What the predictions cost.
 
-        ``seconds`` and ``simulations``, summed over events (None where the model counts none), and
-        ``events``, the cost of each.
+        Keys: ``seconds`` and ``simulations``, summed over events (``simulations`` is None if the
+        model counts none); ``events``: event id -> its cost.
         """
         each = {name: dict(prediction.cost) for name, prediction in self.predictions.items()}
         counts, seconds = (
@@ -90,17 +90,16 @@ class Evaluation(Printed):
 
     @functools.cached_property
     def compared(self) -> ModelComparison:
-        """It beside people, and the models whose answers the events carry."""
+        """This model compared with people and with the models whose answers the events carry."""
         return ModelComparison(self.events, entries({self.name: self}, self.events, ALL), USUAL)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
-        """The metrics, in JSON's types.
+        """The metrics, in JSON's types; :mod:`phase_ppl.evaluation.metrics` lists them.
 
-        They are those of :mod:`phase_ppl.evaluation.metrics`; ``cpu_seconds`` and ``seconds``,
-        means per event; ``people``, people's accuracy
-        (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
-        of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
+        Further keys: ``cpu_seconds`` and ``seconds``, means per event; ``people``, people's
+        accuracy (:func:`phase_ppl.human_accuracy`); ``reference_models``: model -> metrics, for the
+        models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
         others = dict(self.compared.metrics)
         found = {
@@ -140,7 +139,7 @@ class Evaluation(Printed):
         return table[list(_COLUMNS)].reset_index(drop=True).astype(kinds)
 
     def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
-        """Return the posterior of an event, read from the folder; None if none was kept.
+        """Return the posterior of an event, read from the folder; None: no posterior was kept.
 
         Raises:
             UnknownNameError: there is no such event.
@@ -158,7 +157,8 @@ class Evaluation(Printed):
         """Read an evaluation, finished or not, from its folder.
 
         Raises:
-            InvalidEventError: it is no such folder, or a file in it is damaged.
+            InvalidEventError: there is no such folder, it holds no evaluation, or a file is
+                damaged.
         """
         folder = ResultsFolder.open(path)
         for name in ("model", "seed"):
@@ -244,19 +244,19 @@ def compare_models(
 
     Args:
         sources: evaluations, or folders of evaluations. A folder that holds several stands for all
-            of them. A mapping gives names, as in ``{"fast": ..., "paper": ...}``. Otherwise the
-            name is the model's, or the folder's if several are of the same model.
+            of them. A mapping gives names, as in ``{"fast": ..., "paper": ...}``. Otherwise an
+            evaluation is called by its model, or by its folder if several have the same model.
         stored: names of further models to compare, whose answers the events carry; or "all".
             Default: none.
-        against: name of the model that the others are compared with; by default every pair is
+        against: name of the model that the other models are compared with; by default every pair is
             compared.
         common: whether to compare on the events that all evaluations share. By default all must be
             about the same events.
-        margin: largest difference between shares of right answers at which a model and people
-            count as equivalent. Default: 0.1.
-        seed: a whole number >= 0, of the resampling of events.
-        resamples: number of resamples of the events, for differences and equivalence. Default:
-            10 000. Metrics have the paper's 1000.
+        margin: largest difference between the shares of right answers of a model and of people at
+            which they count as equivalent.
+        seed: seed of the resamples of the events, a whole number >= 0.
+        resamples: number of resamples of the events, for differences and equivalence; by default
+            10 000. Metrics have 1000, as in the paper.
 
     Raises:
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations are

@@ -53,7 +53,7 @@ MAJORITY: Final = 0.5 - 1e-12  # least share of viewers that gives a video a cat
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tags:
-    """Labels that people chose for videos.
+    """Labels that people chose for videos; :func:`phase_ppl.load_tags` reads them.
 
     Attributes:
         table: a row per chosen label, with ``participant``, ``video`` and ``label``; a viewing
@@ -67,7 +67,7 @@ class Tags:
 
     @functools.cached_property
     def labels(self) -> tuple[str, ...]:
-        """The paper's labels, then any others."""
+        """The paper's labels, then any other labels that people chose."""
         found = self.table["label"].dropna().unique().tolist()
         return (*LABELS, *(label for label in found if label not in LABELS))
 
@@ -78,23 +78,26 @@ class Tags:
 
     @functools.cached_property
     def shares(self) -> pd.DataFrame:
-        """Video x label -> share of its viewers who chose the label."""
+        """A row per video, a column per label: share of the video's viewers who chose the label."""
         chosen = self.table.dropna(subset="label")
         counts = chosen.groupby(["video", "label"])["participant"].nunique().unstack(fill_value=0)
         counts = counts.reindex(index=self.viewers.index, columns=list(self.labels), fill_value=0)
         return counts.div(self.viewers, axis=0)
 
     def summary(self) -> pd.DataFrame:
-        """Return label -> ``percent`` of videos with it as a category, and ``used`` at all.
+        """Return a row per label: ``percent``, share of videos in its category, and ``used``.
 
-        At least half of a video's viewers chose its categories (paper).
+        A video is in a label's category if at least half of its viewers chose the label (paper).
+        ``used`` is the number of videos for which anybody chose it.
         """
         categories = self.shares >= MAJORITY
         return pd.DataFrame({"percent": 100 * categories.mean(), "used": (self.shares > 0).sum()})
 
 
 def load_tags(path: str | os.PathLike[str]) -> Tags:
-    """Read labels from a CSV file, in the format that the module describes.
+    """Read labels from a CSV file with the columns ``participant``, ``video`` and ``label``.
+
+    A row has one chosen label; a viewing without any label has one row with an empty cell.
 
     Raises:
         InvalidEventError: there is no such file, columns or cells are missing, or somebody chose a
@@ -121,22 +124,22 @@ By = Literal["participants", "videos"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Likeness:
-    """Ratings of two groups of videos.
+    """Ratings of how likely people are to behave as in a video, for two groups of videos.
 
     Attributes:
-        table: a row per rating, with ``participant``, ``video``, ``group`` and ``rating``.
+        table: a row per rating, with ``participant``, ``video``, ``group`` and ``rating`` (1 to 5).
     """
 
     table: pd.DataFrame
 
     @functools.cached_property
     def groups(self) -> tuple[str, str]:
-        """Names of the groups, sorted, "played" first where it is one."""
+        """Names of the two groups, sorted; a group "played" comes first."""
         found = sorted(self.table["group"].unique(), key=lambda name: (name != "played", name))
         return found[0], found[1]
 
     def means(self, by: By = "videos") -> Mapping[str, FloatArray]:
-        """Return group -> mean rating of each video, or of each participant."""
+        """Return group -> (video,) or (participant,) mean ratings; ``by`` says which."""
         found = self._means(by)
         return {group: found[group].to_numpy(float) for group in self.groups}
 
@@ -144,9 +147,11 @@ class Likeness:
         return self.table.groupby(["group", by.removesuffix("s")])["rating"].mean()
 
     def summary(self) -> pd.DataFrame:
-        """Return group -> mean rating, and its standard deviation over videos and participants.
+        """Return a row per group: ``mean`` rating, standard deviations, and numbers.
 
-        The paper does not say which of the two its standard deviations are.
+        ``sd_videos`` and ``sd_participants`` are over the mean ratings of videos and of
+        participants; the paper does not say which it reports. ``videos``, ``participants`` and
+        ``ratings`` are numbers.
         """
         found = pd.DataFrame(index=pd.Index(self.groups))
         of_group = self.table.groupby("group")["rating"]
@@ -160,18 +165,18 @@ class Likeness:
     def equivalence(self, margin: float = MARGIN) -> dict[str, Any]:
         """Test whether the mean ratings of the groups differ by less than a margin.
 
-        Two one-sided Welch tests (TOST) of the means of participants, who were assigned to groups
-        at random. Equivalence is shown if both reject, that is, if the 90 % interval lies within
-        the margin.
+        Two one-sided Welch tests (TOST) compare the means of participants, who were assigned to
+        groups at random. Equivalence is shown if both reject, that is, if the 90 % interval lies
+        within the margin.
 
         Args:
-            margin: in steps of the rating.
+            margin: the margin, in steps of the rating.
 
         Returns:
-            ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
-            larger of the two; and ``equivalent``, whether it is below 0.05. If all means within
-            each group are equal, their variance is unknown: ``ci_low``, ``ci_high`` and ``p`` are
-            None, and equivalence is not shown.
+            ``difference``, first group minus second; ``ci_low`` and ``ci_high``, its 90 % interval;
+            ``p``, the larger p-value of the two tests; and ``equivalent``, whether ``p`` is below
+            0.05. If all means within each group are equal, their variance is unknown: ``ci_low``,
+            ``ci_high`` and ``p`` are None, and equivalence is not shown.
 
         Raises:
             InvalidSettingError: ``margin`` is no positive number.
@@ -204,11 +209,11 @@ class Likeness:
 
 
 def load_likeness(path: str | os.PathLike[str]) -> Likeness:
-    """Read ratings from a CSV file, in the format that the module describes.
+    """Read ratings from a CSV file: ``participant``, ``video``, ``group`` and ``rating`` (1 to 5).
 
     Raises:
-        InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5,
-            there are not two groups, or somebody rates a video twice or sees both groups.
+        InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5, there
+            are not two groups, or somebody rates a video twice or sees both groups.
     """
     names = ("participant", "video", "group", "rating")
     group_of: dict[str, str] = {}

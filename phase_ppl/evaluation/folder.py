@@ -70,12 +70,13 @@ def all_events(
     """Return the events of a file or folder, or the given events, checked.
 
     Args:
-        events: a file, a folder of files or a generated data set; an event, or several.
-        split: of a generated data set, only the events of that part.
+        events: an event file, a folder of event files, a generated data set, an event, or several.
+        split: a split of a generated data set, such as "train": only its events are returned.
 
     Raises:
-        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
-        InvalidSettingError: ``events`` are none of these.
+        InvalidEventError: a file cannot be read, there are no events, two events have one id, or
+            ``split`` is given for events that have no splits.
+        InvalidSettingError: ``events`` is none of these.
     """
     if split is not None:
         given = load_events(events) if isinstance(events, str | os.PathLike) else events

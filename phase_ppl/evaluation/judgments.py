@@ -56,13 +56,13 @@ class Study:
     """Participants' judgments of videos. ``print`` says what was read, and how.
 
     Attributes:
-        table: a row per participant, event, question, answer and moment. Columns are
-            ``participant``, ``event``, ``question`` and ``answer``, as the labels spell it;
-            ``value``, its share of the person's answer: 1 for a label; ``at``, seconds of the film
-            until which it had been seen (NaN: all of it); ``response_time`` in seconds, NaN if
-            missing. Where they were given, there are ``rating``, as it was before it became a
-            share; ``confidence``; ``rehearsal``, true for scripted people; and further columns of
-            the file, as text or None.
+        table: a row per participant, event, question, answer and moment. Columns: ``participant``,
+            ``event``, ``question``; ``answer``, as the labels spell it; ``value``, the share that
+            the person gave to this answer, 1 for a chosen label; ``at``, seconds of the film that
+            the person had seen (NaN: all of it); ``response_time``, seconds (NaN: missing). If the
+            file has them, also ``rating``, what the share was computed from; ``confidence``;
+            ``rehearsal``, true for scripted people; and further columns of the file, as text or
+            None.
         world: world of the events.
         summary: what was done with the file: what was left out, and why; which of raters' files
             were kept. A line each.
@@ -74,7 +74,7 @@ class Study:
 
     @functools.cached_property
     def judgments(self) -> Mapping[str, Judgments]:
-        """Video -> judgments of the participants who answered a question about it."""
+        """Event id -> judgments of the participants who answered a question about the event."""
         found = {}
         for event, rows in self.table.groupby("event", sort=False):
             said: dict[float | None, dict[str, dict[str, dict[str, float]]]] = {None: {}}
@@ -98,10 +98,10 @@ class Study:
         """Return people's accuracy as in the paper: per participant, then averaged.
 
         Args:
-            events: with their truth; events without answers in the study do not count.
+            events: events with their truth; events without answers in the study do not count.
 
         Returns:
-            As :func:`~phase_ppl.evaluation.metrics.participant_accuracy`.
+            What :func:`~phase_ppl.evaluation.metrics.participant_accuracy` returns.
 
         Raises:
             InvalidEventError: the study has answers to none of the events.
@@ -131,26 +131,27 @@ def load_judgments(
     graded: Graded = "divide",
     temperature: float | None = None,
 ) -> Study:
-    """Read a study from a table or from raters' files, in the formats that the module describes.
+    """Read a study from a table or from raters' files (:mod:`phase_ppl.evaluation.judgments`).
 
-    Tables may come from pandas, R, Excel, jsPsych or Qualtrics. Cells are separated by commas,
-    semicolons or tabs. A column of row numbers, empty columns and the usual texts for missing
-    values are allowed. Other columns are kept. Rows without an answer or a video are left out.
+    A table has a row per participant and video, with ``participant``, ``video`` and a column per
+    question. It may come from pandas, R, Excel, jsPsych or Qualtrics. Cells are separated by
+    commas, semicolons or tabs. A column of row numbers, empty columns and the usual texts for
+    missing values are allowed. Further columns are kept. Rows without an answer or a video are left
+    out.
 
     Args:
-        path: a table's file or a :class:`pandas.DataFrame`; or a rater's file that the authors of
-            PHASE published, or the folder of them. The options after ``events`` are for tables.
+        path: a table's file or a :class:`pandas.DataFrame`; or a rater's file of the public study,
+            or the folder of such files. The options after ``events`` are for tables.
         events: the events that were judged, or their file or folder, all of one world. Their world
             decides the questions. In a table, a video that is not among them is an error; in
             raters' files it is left out. Default: any events of PHASE.
-        names: your name -> the name here, of columns, questions, answers and videos; None leaves
-            a column out.
+        names: name in the table -> the package's name, for columns, questions, answers and videos;
+            None leaves a column out.
         na: further texts for missing values, such as "-99".
         repeated: which answer counts if a person answered a question about a video twice: "first"
-            or "last". By
-            default, "refuse", such a file is an error that names all of them.
-        milliseconds: whether ``response_time`` and ``at`` are in milliseconds. By default each is
-            judged by its median.
+            or "last". By default, "refuse", such a table is an error that names all such answers.
+        milliseconds: whether ``response_time`` and ``at`` are in milliseconds. By default the
+            median of each column decides.
         graded: how ratings become shares: "divide" by their sum, or "softmax", exp(rating /
             temperature) divided by its sum.
         temperature: temperature of the softmax, in units of the ratings. By default it is fitted,
@@ -187,8 +188,10 @@ def load_judgments(
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     """Return the events with their judgments replaced by those of a study.
 
+    Events that the study does not have lose their judgments.
+
     Raises:
-        InvalidEventError: the study has answers to none of the events.
+        InvalidEventError: the study has answers to none of the events, or is about another world.
     """
     if (world := world_of(events)) != study.world:
         of = ("another " if world.name == study.world.name else "") + repr(world.name)

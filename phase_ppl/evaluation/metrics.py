@@ -108,20 +108,22 @@ TOP: Final = 3
 def evaluate_predictions(
     events: Sequence[Event], predictions: Mapping[str, Prediction], *, seed: int = 0
 ) -> dict[str, Any]:
-    """Return the metrics of a model's predictions, as the module describes them.
+    """Return the metrics of a model's predictions; :mod:`phase_ppl.evaluation.metrics` lists them.
 
     Args:
-        events: with their truth and judgments, where they have them.
-        predictions: event id -> prediction. Events without one do not count; predictions of other
-            events are not used.
-        seed: of the 1000 resamples of the events, and of the halves of the raters. The same seed
-            resamples the same events for all models that predict them all.
+        events: the events, all of one world. Events without truth count only for agreement with
+            people, events without judgments only for being right.
+        predictions: event id -> prediction. Events without a prediction do not count; predictions
+            of other events are not used.
+        seed: seed of the 1000 resamples of the events, which give the intervals, and of the random
+            halves of the raters. With one seed, all models that predict all events get the same
+            resamples.
 
     Raises:
         InvalidEventError: two events have the same id, or judgments cannot be read.
         UnknownNameError: judgments name an unknown goal or relation.
-        InvalidSettingError: a prediction is of another event than it is filed under, or
-            ``seed`` is out of range.
+        InvalidSettingError: a prediction names another event than its key, or ``seed`` is out of
+            range.
     """
     return metrics_of(events, {"": predictions}, seed)[""]
 
@@ -296,16 +298,19 @@ def human_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     """Return the accuracy of people, from the judgments that the events carry.
 
     Args:
-        events: those with both truth and judgments count.
+        events: the events; those with both truth and judgments count.
 
     Returns:
-        ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
-        (:mod:`phase_ppl.evaluation.metrics`). An event's score is the share of people who are
-        right; intervals are over events. Other worlds have ``by_agent`` and ``by_pair``.
-        ``majority`` is the same for the most frequent answers, ties in label order. ``scripted``,
-        true, is there if the answers are those of scripted people, in a rehearsal of a study.
-        ``by_participant``: see :func:`participant_accuracy`; None if it is unknown who gave which
-        answer.
+        ``n_events``: number of events that count. ``goal_accuracy`` and ``relation_accuracy``: mean
+        over events of the share of people who are right, as ``value`` with a 95 % interval
+        ``ci_low`` to ``ci_high``. The interval is Clopper and Pearson's for the effective number of
+        independent answers (answers about one event are dependent). ``by_scenario``: true scenario
+        -> both accuracies and ``n``, the number of events. In other worlds than PHASE ``by_agent``:
+        agent -> goal accuracy, and ``by_pair``: "red & green" and the like -> relation accuracy.
+        ``majority``: these accuracies for the answer that most people gave (of equals the first in
+        label order). ``by_participant``: what :func:`participant_accuracy` returns; None if it is
+        unknown who gave which answer. ``scripted``: True, if people were scripted in a rehearsal of
+        a study; else the key is missing.
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
@@ -341,12 +346,13 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     This is the accuracy of people in the paper (Appendix 5).
 
     Args:
-        events: those count that have truth, and judgments with their participants.
+        events: the events; those count that have truth, and judgments with their participants.
 
     Returns:
-        ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``; ``by_scenario``, true
-        scenario -> both accuracies on its events and ``n``, the participants who answered. In other
-        worlds than PHASE ``by_agent`` and ``by_pair``.
+        ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``, with 95 % intervals over
+        participants; ``by_scenario``: true scenario -> both accuracies on its events and ``n``, the
+        number of participants who answered. In other worlds than PHASE ``by_agent`` and
+        ``by_pair``.
     """
     judged = [(event, Judgments.of(event)) for event in events if event.truth is not None]
     known = [event for event, one in judged if one is not None and one.responses]

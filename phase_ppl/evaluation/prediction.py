@@ -39,10 +39,11 @@ _COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries
 
 @functools.lru_cache(16)
 def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
-    """Return a mapping from question to its possible answers, in label order, for a world.
+    """Return question -> its possible answers, in label order, for a world.
 
-    ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents' ``world.keys``, as its
-    posteriors call them; goals are effective. PHASE has one pair, whose question is ``relation``.
+    Questions are named like a posterior's quantities: ``goal_<agent>`` and
+    ``relation_<one>_<other>``, with the agents' ``world.keys``. PHASE has one pair, whose question
+    is ``relation``. Goals are effective goals.
     """
     goals = {f"goal_{key}": world.goals for key in world.keys}
     return goals | dict.fromkeys(pairs_of(world), RELATIONS)
@@ -50,7 +51,7 @@ def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return a mapping from question about a relation to its two agents, for a world."""
+    """Return question about a relation -> the names of its two agents, for a world."""
     found = {
         name: (world.agents[one], world.agents[other])
         for name, (one, other) in space_of(world).relation_names.items()
@@ -80,30 +81,32 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 class Prediction:
     """Answers to the questions about one event. What is not given is absent, never guessed.
 
+    Probabilities and errors are arrays (label,), in the order of :func:`questions_of`.
+
     Attributes:
-        event_id: of the event.
-        probabilities: question -> probabilities of its answers, in label order, sum 1.
-        errors: question -> Monte-Carlo errors of the probabilities, in label order, NaN where
-            unknown; of questions that have probabilities only.
-        answers: question -> the answer given (top 1). Where only probabilities are given it is
-            the most probable one, of equals the first in label order.
-        cost: seconds, simulations and whatever else the model counts.
-        world: of the event; it has the questions and their answers (:func:`questions_of`).
+        event_id: id of the event.
+        probabilities: question -> (label,) probabilities of its answers, sum 1.
+        errors: question -> (label,) Monte-Carlo errors of the probabilities; NaN: unknown. Only
+            questions with probabilities can have errors.
+        answers: question -> the answer given. If only probabilities are given, it is the most
+            probable answer, of equals the first in label order.
+        cost: what the model counts, such as seconds and simulations.
+        world: world of the event; it has the questions and their answers.
         sure: question -> whether the answer is sure, by the posterior's ``leaders()``; empty: the
             model has no posterior.
         decided: whether the event is decided, by the posterior's ``diagnostics()``; None: the model
             has no posterior.
-        moments: seconds of the film -> question -> probabilities given the film until then, where
-            people judged at these moments.
-        hindsight: that ``moments`` are in hindsight, in words
+        moments: seconds of the film -> question -> (label,) probabilities given the film until
+            then; for the moments at which people judged.
+        hindsight: says in words that ``moments`` are in hindsight
             (:meth:`phase_ppl.Posterior.over_time`); "": they are not.
 
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.
         InvalidSettingError: ``sure`` or ``decided`` is neither true nor false.
-        InvalidEventError: probabilities of another number, negative, not finite, or whose sum
-            is not 1 (within 0.001; they are normalised exactly); errors that are not one number
-            >= 0 or NaN for each probability.
+        InvalidEventError: probabilities are not one per answer, are negative or not finite, or do
+            not sum to 1 within 0.001 (they are then normalised exactly); or errors are not one
+            number >= 0 or NaN per probability.
     """
 
     event_id: str
@@ -154,17 +157,17 @@ class Prediction:
 
     @classmethod
     def of(cls, given: object, event_id: str = "", world: World = PHASE) -> Prediction:
-        """Return what a model answered as a prediction of an event of a world.
+        """Return what a model answered as a prediction.
 
         Args:
-            given: a prediction; the posterior of an event; or a mapping from questions to a label,
-                to label -> probability, or to probabilities in label order; None is no answer.
-            event_id: of the event.
-            world: of the event.
+            given: a prediction; the posterior of an event; or question -> a label, label ->
+                probability, or probabilities in label order; None instead of these is no answer.
+            event_id: id of the event.
+            world: world of the event.
 
         Raises:
-            InvalidEventError, UnknownNameError: as for the class; it is none of these, it is empty,
-                or of another world.
+            InvalidEventError, UnknownNameError: ``given`` is none of these, is empty, or is about
+                another world; or it makes no valid :class:`Prediction`.
         """
         from phase_ppl.analysis.event_posterior import EventPosterior
 
@@ -206,7 +209,10 @@ class Prediction:
         return found
 
     def at(self, moment: float) -> Prediction:
-        """Return what was answered at a moment of the film; nothing where it is not known."""
+        """Return the prediction given the film until a moment; without answers if there is none.
+
+        ``moment`` is in seconds of the film, a key of :attr:`moments`.
+        """
         return Prediction(self.event_id, self.moments.get(moment, {}), world=self.world)
 
     @property
@@ -216,12 +222,12 @@ class Prediction:
 
     @property
     def questions(self) -> Mapping[str, tuple[str, ...]]:
-        """The questions of its world -> the possible answers, in label order."""
+        """Question -> its possible answers in label order, for the event's world."""
         return questions_of(self.world)
 
     @property
     def scenario(self) -> str | None:
-        """Scenario of the two goals answered in PHASE; None where one is missing."""
+        """Scenario of the two goals answered; None: a goal is missing, or the world is no PHASE."""
         answered = self.answers.keys() >= {*GOAL_QUESTIONS.values()}
         if not (space_of(self.world).scenario_names and answered):
             return None
@@ -229,14 +235,14 @@ class Prediction:
         return scenario(red, green)
 
     def estimate(self, question: str, answer: str) -> Estimate:
-        """Return the probability of an answer, with its error where that is known."""
+        """Return the probability of an answer to a question, with its error (NaN: unknown)."""
         place = self.questions[question].index(answer)
         errors = self.errors.get(question)
         error = math.nan if errors is None else float(errors[place])
         return Estimate(float(self.probabilities[question][place]), error)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back.
+        """Return the prediction as plain data, fit for JSON; :meth:`from_dict` gives it back.
 
         Answers of probability 0 are left out.
         """
@@ -262,13 +268,11 @@ class Prediction:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], world: World = PHASE) -> Prediction:
-        """Read what :meth:`to_dict` wrote; answers of probability 0 may be left out.
-
-        The world is that of the event.
+        """Read what :meth:`to_dict` wrote about an event of ``world``; answers left out get 0.
 
         Raises:
-            InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
-                another type.
+            InvalidEventError, UnknownNameError: a field is missing or of another type, or
+                ``record`` makes no valid :class:`Prediction`.
         """
         given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors", "sure")}}
         of_kind("event of a prediction", given.get("event"), str)
@@ -404,22 +408,22 @@ _SHORT: Final = ("goals", "relation", "goal_probs", "relation_probs")
 
 
 def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:
-    """Return model -> event id -> prediction; events that carry none of a model are left out.
+    """Return model -> event id -> the prediction that the event carries; other events are left out.
 
     Models come in the order in which the events name them first. ``event.predictions`` maps the
-    name of a model to one of::
+    name of a model to a prediction in one of two forms. One is what :meth:`Prediction.to_dict`
+    writes, where ``event`` may be missing. The other is below; every field may be missing or null::
 
         {"goals": {"red agent": "...", "green agent": "..."}, "relation": "friendly",
          "goal_probs": {"red agent": {"...": 0.9, "...": 0.1}, ...},
          "relation_probs": {"friendly": 0.6, "neutral": 0.3, "adversarial": 0.1}}
 
-    where every field may be missing or null, or to what :meth:`Prediction.to_dict` writes, without
-    ``event``. Goals are effective ones; of probabilities, answers of probability 0 may be left out.
+    Goals are effective goals. Answers of probability 0 may be left out.
 
     Raises:
-        InvalidEventError: a prediction has no such form, or probabilities that are none.
-        UnknownNameError: a field, agent, goal or relation is unknown. Messages begin with the
-            event and the model.
+        InvalidEventError: a prediction has neither form, or its probabilities are invalid.
+        UnknownNameError: a field, agent, goal or relation is unknown. Messages begin with the event
+            and the model.
     """
     found: dict[str, dict[str, Prediction]] = {}
     for event in events:

@@ -57,15 +57,16 @@ class Judgments:
     """People's judgments of one event. What nobody answered is absent.
 
     Attributes:
-        counts: question -> ratings for its answers, in label order. A graded answer, such as a
-            slider for every label, is one rating divided among them.
-        responses: participant -> question -> answer, a label or label -> share; empty where only
-            counts are known.
-        world: of the event; it has the questions and their answers.
-        moments: seconds of the film -> judgments when the film had come so far, in order. All
-            others are of the whole film.
-        rehearsal: whether they are marked as those of scripted participants.
-        SCRIPTED: what names of scripted participants begin with, in all files.
+        counts: question -> (label,) number of people who gave each answer, in the order of
+            :func:`phase_ppl.questions_of`. A graded answer, such as a slider for every label, is
+            divided among the labels and sums to 1. Only judgments of the whole film are counted.
+        responses: participant -> question -> answer about the whole film: a label or, if graded,
+            label -> share. Empty if only counts are known.
+        world: world of the event; it has the questions and their answers.
+        moments: seconds of the film -> judgments of people who had seen the film until then, in
+            order.
+        rehearsal: whether the judgments are marked as those of scripted participants.
+        SCRIPTED: beginning of the names of scripted participants, in all files.
     """
 
     SCRIPTED: ClassVar = "scripted-"
@@ -78,13 +79,13 @@ class Judgments:
 
     @property
     def scripted(self) -> bool:
-        """Whether participants were scripted, by the mark or a name: a rehearsal of a study."""
+        """Whether participants were scripted, by the mark ``rehearsal`` or a name."""
         rows = (self.responses, *(one.responses for one in self.moments.values()))
         named = any(who.startswith(self.SCRIPTED) for of in rows for who in of)
         return self.rehearsal or named
 
     def distribution(self, question: str) -> FloatArray | None:
-        """Return the share of each answer among those given (paper, Appendix 5); None if none."""
+        """Return (label,) the share of each answer (paper, Appendix 5); None: nobody answered."""
         if question not in self.counts:
             return None
         ratings = self.counts[question]
@@ -92,11 +93,11 @@ class Judgments:
 
     @classmethod
     def of(cls, event: Event) -> Judgments | None:
-        """Return the judgments that an event carries; None where there are none.
+        """Return the judgments that an event carries; None: nobody judged it.
 
         Raises:
-            InvalidEventError, UnknownNameError: as of :meth:`from_record`; the message names the
-                event.
+            InvalidEventError, UnknownNameError: the judgments cannot be read, as for
+                :meth:`from_record`; the message names the event.
         """
         if event.judgments is None:
             return None
@@ -110,9 +111,14 @@ class Judgments:
         world: World = PHASE,
         moments: Mapping[float, Rows] = MappingProxyType({}),
     ) -> Judgments:
-        """Count the ratings in participant -> question -> answer.
+        """Return judgments, counted from who gave which answer.
 
-        ``moments`` has the same for seconds of the film.
+        Args:
+            responses: participant -> question -> answer about the whole film: a label or label ->
+                share.
+            world: world of the event.
+            moments: seconds of the film -> responses (as above) of people who had seen it until
+                then.
 
         Raises:
             UnknownNameError: there is no such question or answer.
@@ -134,20 +140,26 @@ class Judgments:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], world: World = PHASE) -> Judgments | None:
-        """Read the judgments of an event file; None where nobody judged.
+        """Read the ``judgments`` of an event file; None: nobody judged.
 
-        Fields: ``counts`` {question: {answer: ratings}}, for which ``relation_counts`` {relation:
-        ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, and ``responses``, a list
-        of objects with ``participant`` and answers to the questions: a label, or {label: share}.
-        With ``at``, seconds of the film, they are not counted in ``counts``. ``rehearsal``, true,
-        marks those of scripted people. All are optional, answers without ratings may be left out,
-        fields of other names (such as ``majority``) are not read. Goals are effective goals.
+        Args:
+            record: a mapping with at least one of the fields below, or empty. Fields with other
+                names, such as ``majority``, are not read. Goals are effective goals.
+
+                * ``counts``: question -> answer -> number of people; answers of nobody may be left
+                  out.
+                * ``relation_counts``: relation -> number of people. ``goal_counts``: agent -> goal
+                  -> number of people. They may stand for ``counts``.
+                * ``responses``: a list of mappings, with ``participant`` and question -> a label or
+                  label -> share. With ``at``, seconds of the film, a response is about the film
+                  until then, and ``counts`` does not include it.
+                * ``rehearsal``: true if people were scripted; it does not suffice alone.
+            world: world of the event.
 
         Raises:
-            InvalidEventError: ratings that are negative or no whole number, responses that
-                contradict the counts; or the record has fields, but none of those that hold
-                ratings.
-            UnknownNameError: no such agent, goal, relation or question.
+            InvalidEventError: a number of people is negative or not whole; responses contradict the
+                counts; or ``record`` has fields, but none that holds ratings.
+            UnknownNameError: there is no such agent, goal, relation or question.
         """
         known = _Record.__struct_fields__[:4]
         if record and not any(name in record for name in (*known, *_WITHOUT_RATINGS)):
@@ -184,7 +196,7 @@ class Judgments:
         return found if found.counts or found.moments else None
 
     def to_record(self) -> dict[str, Any]:
-        """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
+        """Return the judgments as plain data, fit for JSON; :meth:`from_record` gives them back."""
         labels = questions_of(self.world)
         whole = {q: ratings for q, ratings in self.counts.items() if ratings.dtype != float}
         given = {

@@ -44,12 +44,13 @@ question without an answer is absent, or None. PHASE's questions are "goal_red",
 
 
 class Answer(NamedTuple):
-    """An answer with files that belong to it.
+    """A model's answer with files that belong to it.
 
     Attributes:
-        given: the answer.
-        artefacts: name of a file -> a function that writes it to the path it is given.
-        posterior: of the model, where it has one: what an observer goes by.
+        given: the answer: a prediction, a posterior, or a mapping from questions, as
+            :meth:`phase_ppl.Prediction.of` takes it.
+        artefacts: name of a file -> a function that writes this file to the path it is given.
+        posterior: the model's posterior, if it has one, for an observer (:class:`Onlooker`).
     """
 
     given: Given
@@ -58,7 +59,7 @@ class Answer(NamedTuple):
 
     @classmethod
     def of(cls, given: object) -> Self:
-        """Return what a model gave as an answer; a posterior is kept as a file."""
+        """Return what a model gave as an answer; a posterior is also kept as a file."""
         if isinstance(given, cls):
             return given
         if isinstance(given, EventPosterior):
@@ -80,19 +81,15 @@ MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
 
 @dataclasses.dataclass(frozen=True)
 class ModelInfo:
-    """What is known of a model without making it.
+    """What is known of a model before it is made.
 
     Attributes:
-        name: as users call it.
-        factory: makes the model from options.
+        name: the model's name, as users call it.
+        factory: function ``factory(**options)`` that checks the options and returns the model: a
+            function ``(scene, observation, seed)``.
         summary: first line of the factory's documentation.
-        parallel: whether several processes may run it in parallel. False is better for a model
-            that needs the whole accelerator, or is faster than starting a process.
-        needs: modules that must be installed beside what the package itself needs.
-        extra: the extra of this package that brings them, if one does.
-        more_options: of a factory that takes ``**options``: their names, given the options;
-            None where it can be any.
-        any_world: whether it may be asked about events of other worlds than PHASE.
+        parallel, needs, extra, more_options, any_world: the arguments of
+            :func:`phase_ppl.register_model`.
     """
 
     name: str
@@ -105,7 +102,7 @@ class ModelInfo:
     any_world: bool = False
 
     def takes(self, name: str, options: Mapping[str, Any]) -> bool:
-        """Return whether the model has an option of that name."""
+        """Return whether the model has an option ``name`` when it is given ``options``."""
         parameters = inspect.signature(self.factory).parameters.values()
         if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
             return True
@@ -115,7 +112,12 @@ class ModelInfo:
         return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
-        """Return the model."""
+        """Return the model with these options.
+
+        Raises:
+            InvalidSettingError: an option is unknown, missing or invalid, or a module is not
+                installed.
+        """
         check_installed(f"model {self.name!r}", self.needs, self.extra)
         try:
             inspect.signature(self.factory).bind(**options)
@@ -138,9 +140,19 @@ def register_model(
     more_options: MoreOptions | None = None,
     any_world: bool = False,
 ) -> Callable[[Factory], Factory]:
-    """Return a decorator that makes a factory of models known under ``name``.
+    """Return a decorator that registers a factory of models under ``name``.
 
-    Arguments as the attributes of :class:`ModelInfo`.
+    The factory is a function ``factory(**options)`` that returns a model: a function
+    ``(scene, observation, seed)``. The first line of its documentation describes the model.
+
+    Args:
+        name: name by which users call the model.
+        parallel: whether several processes may run the model in parallel.
+        needs: modules that must be installed beside those that the package itself needs.
+        extra: the extra of this package that installs them; None: no extra does.
+        more_options: for a factory that takes ``**options``: a function from the options given to
+            the names of those allowed, or to None if any name is; None: any name is allowed.
+        any_world: whether the model may be asked about events of other worlds than PHASE.
 
     Raises:
         InvalidSettingError: the name is taken by another factory.
@@ -159,7 +171,7 @@ def available_models() -> list[str]:
 
 
 def model_info(name: str) -> ModelInfo:
-    """Return a model's factory, summary, options and needs, by its name.
+    """Return a registered model's factory, summary, options and needs (:class:`ModelInfo`).
 
     Raises:
         UnknownNameError: there is no such model; the message names close matches.
@@ -252,15 +264,15 @@ class Onlooker(Protocol):
     """An observer: it turns a model's answers into the answers of a person who watches.
 
     Attributes:
-        record: all that determines this change, as plain data, under names that settings of models
-            do not have.
+        record: all that determines what the observer changes, as plain data for an evaluation's
+            settings, under keys that a model's settings do not have.
     """
 
     @property
     def record(self) -> Mapping[str, Any]: ...
 
     def seeing(self, model: Predict, world: World) -> Predict:
-        """Return the model as it is seen about events of a world."""
+        """Return ``model``, changed to answer as a person who watches events of ``world``."""
 
 
 def seen_through(

@@ -58,12 +58,13 @@ def report(
     The page holds its pictures and style, runs no script, and fetches nothing.
 
     Args:
-        folder: of an evaluation, or of a comparison of models.
-        path: of the page, ending in .html; default ``report.html`` in the folder.
-        progress: show a bar over the events on stderr; by default if stderr is a terminal.
+        folder: folder of an evaluation, or of a comparison of models.
+        path: the page's file, ending in .html; default ``report.html`` in the folder.
+        progress: whether to show a bar over the events on stderr; by default if stderr is a
+            terminal.
 
     Raises:
-        InvalidEventError: the folder is neither, or a file in it is damaged.
+        InvalidEventError: the folder holds neither, or a file in it is damaged.
         OutputError: the page cannot be written there, or its name does not end in .html.
     """
     source = as_path(folder)

@@ -158,14 +158,15 @@ class Cell(NamedTuple):
 
 
 class Reproduction(NamedTuple):
-    """What came out.
+    """The paper's numbers beside ours, as :func:`phase_ppl.reproduce` returns them.
 
     Attributes:
-        cells: the paper's numbers beside ours.
-        comparison: of all models.
-        notes: what is to be known about it.
-        drawn: title, words and a function that draws a figure which the comparison does not have.
-        folder: that it is kept in.
+        cells: a cell per number of the paper: ``printed``, the number; ``ours``, our value with its
+            interval; and ``verdict``: "inside", "outside" or "not computable".
+        comparison: comparison of all models.
+        notes: remarks on how the numbers came about.
+        drawn: further figures: title, words, and a function that draws the figure.
+        folder: folder that holds everything.
     """
 
     cells: Sequence[Cell]
@@ -175,7 +176,7 @@ class Reproduction(NamedTuple):
     folder: Path
 
     def table(self, cells: Sequence[Cell]) -> pd.DataFrame:
-        """Return what is printed of some of the cells, a row each."""
+        """Return what ``print`` shows of some of the cells, a row each."""
         found = {}
         for cell in cells:
             p = cell.printed
@@ -286,22 +287,24 @@ def reproduce(
         videos: file of real videos: the authors' release, or JSON in the format "phase-test"
             (:mod:`phase_ppl.data.events_json`).
         profile: "quick": SIMPLE with few simulations and small searches; "paper": SIMPLE as
-            printed, as intended and as it is here.
-        judgments: people's judgments, in place of those in the events.
+            printed, as intended, and as in this package.
+        judgments: people's judgments of the videos, in place of those in the events.
         vlm_store: folder with the stored answers of a vision-language model.
-        tags, likeness: CSV files of what people said in the paper's other two experiments.
+        tags: CSV file of people's labels (:func:`phase_ppl.load_tags`).
+        likeness: CSV file of people's ratings (:func:`phase_ppl.load_likeness`).
         steered: file or folder of events that people steered, with people's judgments in them.
-        seed: of the models.
-        workers: processes, at most; by default one per usable core.
-        resume: go on with what is in ``out``; the models' settings and the videos must be the same.
-        progress: whether to show bars; by default where stderr is a terminal.
-        say: takes lines about what is done.
+        seed: seed of the models.
+        workers: largest number of processes; by default one per usable core.
+        resume: whether to continue with what is in ``out``; the models' settings and the videos
+            must be the same.
+        progress: whether to show bars; by default if stderr is a terminal.
+        say: function that is called with each line about what is done.
 
     Raises:
-        InvalidEventError, InvalidSettingError, UnknownNameError: data or settings that cannot be
-            used; or ``out`` was begun with others.
-        OutputError: ``out`` cannot be written, or holds a reproduction that is not to be resumed.
-        EvaluationInterrupted: Ctrl-C; what was finished is kept.
+        InvalidEventError, InvalidSettingError, UnknownNameError: data or settings cannot be used,
+            or ``out`` was begun with others.
+        OutputError: ``out`` cannot be written, or holds a reproduction and ``resume`` is not set.
+        EvaluationInterrupted: Ctrl-C was pressed; what was finished is kept.
     """
     if (as_path(videos) / MANIFEST).is_file():
         raise InvalidSettingError(

@@ -1,9 +1,9 @@
 """Figures of posteriors, comparisons and sets of events, as ``ppl.plot``.
 
-Every function returns a matplotlib figure, outside matplotlib's global state. With ``path`` the
-figure is also written, as .png, .pdf or .svg. OutputError: it cannot be written, or the ending is
-another. A user's own function gets the same style with the decorator ``in_style``, if it begins
-with ``new_figure`` and ends with ``written``.
+Every function returns a matplotlib figure that ``pyplot`` does not know. With ``path`` the figure
+is also written to that file, as .png, .pdf or .svg; OutputError is raised if the file cannot be
+written or has another ending. A function of your own gets the same style with the decorator
+``in_style``, if it begins with ``new_figure`` and ends with ``written``.
 """
 
 from phase_ppl.analysis.figures.beliefs import beliefs, search

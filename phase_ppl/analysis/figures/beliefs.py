@@ -90,14 +90,21 @@ def beliefs(
     *,
     frame: int | None = None,
 ) -> Figure:
-    """Draw an agent's belief before and after a frame: what it sees, all particles, one of them.
+    """Draw an agent's belief before and after a frame: what it sees, all particles, one particle.
 
-    The truth is not used. ``frame`` is the second of the two, by default the first in which the
-    agent sees something new. There are K = 10 particles, as in the paper's figure.
+    A particle is a possible state of the world that agrees with what the agent has seen. There are
+    K = 10 particles, as in the paper's figure. The truth is not used.
+
+    Args:
+        event: an event of PHASE.
+        agent: name of the agent.
+        path: file to write the figure to as well (.png, .pdf, .svg).
+        frame: the frame in the lower row; the upper row has the frame before. By default the first
+            frame in which the agent sees something new.
 
     Raises:
         UnknownNameError: there is no such agent.
-        InvalidSettingError: there is no such frame, or nothing new is ever seen.
+        InvalidSettingError: there is no such frame, or the agent never sees anything new.
     """
     who = PHASE.agent(agent)
     found = list(beliefs_of(event, who))
@@ -162,7 +169,10 @@ _COST_WEIGHTS: Final = (0.0, 0.05)
 
 @in_style
 def search(path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw the green agent's search for an item under the paper's weights of path cost, lambda."""
+    """Draw the green agent's search for an item, under the paper's weights lambda of path cost.
+
+    The scene is fixed. ``path``: file to write the figure to as well (.png, .pdf, .svg).
+    """
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.data.generation.situation import walls_of_lengths
     from phase_ppl.simulator.joint import simulate

@@ -49,9 +49,9 @@ _POINTS: Final = 200
 
 @figure_of(Comparison)
 def comparison(c: Comparison, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw goals' distance from the reference and belief in the true ones against simulations.
+    """Draw distance from the reference, and belief in the true goals, against simulations.
 
-    A line per kernel; 4.6 inches a panel. ``c.curve`` has further measures.
+    The figure has a line per kernel; a panel is 4.6 inches wide. ``c.curve`` has further measures.
 
     With a budget of frames the axis is frames. Lines are means over repeats, bands their standard
     errors. A kernel that keeps its last population only is a point with a bar. A dashed line is the
@@ -126,8 +126,9 @@ _MOST_LINES: Final = 60  # rows of a map, at most, that lines keep apart
 def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw on one page, 10 inches wide and about 7 high, whether a posterior can be trusted.
 
-    The verdict; goals per particle and draw (:func:`goal_map`); error per frame (:func:`errors`);
-    acceptance. ArviZ draws traces and ranks: ``az.plot_trace(post.chains)``.
+    The page shows the verdict, goals per particle and draw (:func:`goal_map`), error per frame
+    (:func:`errors`) and acceptance by iteration. ArviZ draws traces and ranks:
+    ``az.plot_trace(post.chains)``.
     """
     found = post.diagnostics()
     verdict = textwrap.wrap(found["verdict"], 130)
@@ -143,9 +144,9 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
 
 @figure_of(Posterior)
 def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw which goal each particle held at each draw, in shared colours, 10 x 3.2 inches.
+    """Draw which goal each particle held at each draw, 10 x 3.2 inches.
 
-    The goals held most have colours of their own; the rest are grey.
+    The goals held most have colours of their own, shared by all agents; the rest are grey.
     """
     figure = new_figure(10, 3.2)
     _goal_panels(figure, post)
@@ -154,10 +155,10 @@ def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fig
 
 @figure_of(Posterior)
 def errors(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw how far each particle's last draw is from the observation in every frame.
+    """Draw how far each particle's last draw is from the observation in every frame, in units.
 
-    Orange is the best draw of all. The background is the darker, the more proposals came from a
-    window with that frame; 7.5 x 3 inches.
+    The best draw of all is orange. The background is darker where more proposals came from a window
+    with that frame. The figure is 7.5 x 3 inches.
     """
     figure = new_figure(7.5, 3)
     _step_errors(figure.subplots(), post, post.diagnostics())
@@ -279,7 +280,8 @@ _LONGEST: Final = 22  # characters of a label at most
 def data_card(statistics: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw the main shares of :func:`phase_ppl.statistics`, with their errors, as pairs of bars.
 
-    The original events are in grey, where it is known; 12 inches wide.
+    The second bar, in grey, is the share in PHASE's original events, where it is known. The figure
+    is 12 inches wide.
     """
     of = statistics.index.get_level_values("quantity")
     panels = {title: [n for n in names if n in of] for title, names in _PANELS.items()}

@@ -57,16 +57,15 @@ _APART: Final = 4  # frames between two stills, at least
 def over_time(
     post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
-    """Draw how the probabilities of goals and relation grow out of the video.
+    """Draw how the probabilities of goals and relation change along the video.
 
-    7.5 x 6.6 inches; higher where there are more agents.
-
-    In hindsight, or as they could be believed at the time: see ``over_time`` of the posterior.
-    Both agents' goals share their colours. Bands are 1.96 errors wide on either side, where errors
-    are known.
+    For a sampled posterior they are in hindsight, for the closed loop's as they could be believed
+    at the time (``post.over_time()``). All agents' goals share their colours. Bands are 1.96 errors
+    wide on either side, if errors are known. The figure is 7.5 x 6.6 inches, and higher with more
+    than two agents.
 
     Raises:
-        InvalidEventError, InvalidSettingError: there is no such posterior over time.
+        InvalidEventError, InvalidSettingError: the posterior cannot be given over time.
     """
     found = post.over_time()
     n_panels = len(post.goals_of) + len(post.relations_of)
@@ -127,8 +126,8 @@ def why(
 ) -> Figure:
     """Draw the log odds of ``event`` over ``over`` by frame, and the frames that decided.
 
-    The band is 1.96 errors wide on either side. 8 x 5.6 inches. Arguments and errors are those of
-    :meth:`phase_ppl.analysis.event_posterior.EventPosterior.why`.
+    The band is 1.96 errors wide on either side; the figure is 8 x 5.6 inches. ``event`` and
+    ``over`` are conditions as for :meth:`phase_ppl.Posterior.why`, which has the same errors.
     """
     found = post.why(event, over)
     time, change = found["time"].values, found["change"].values
@@ -179,17 +178,20 @@ _ROW: Final = 19
 
 @figure_of(StepwisePosterior)
 def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
-    """Write the video with the posterior at each frame beside it, as MP4.
+    """Write the video with the closed loop's posterior at each frame beside it, as MP4.
 
-    The goals shown are those that are the most probable at any time; thin lines reach one standard
-    error to either side. The film is returned, for a notebook to play.
+    The film shows the relations and each agent's goals with the highest probabilities at any time,
+    up to six with two agents. Thin lines reach one standard error to either side.
 
     Args:
-        post: what was read.
+        post: a posterior of the closed loop, as ``ppl.infer(event)`` returns it.
         path: the file, ending in .mp4; it appears only once it is complete.
 
+    Returns:
+        The film, for a notebook to play.
+
     Raises:
-        OutputError: another ending, or the file cannot be written.
+        OutputError: ``path`` has another ending, or cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

@@ -53,10 +53,9 @@ def posterior(
 ) -> Figure:
     """Draw goals, relation, scenario, tracks and strengths on one page.
 
-    10 x 6 inches; higher where there are more agents than two.
-
-    Tracks: observed (solid) and, of a posterior by simulation, of the best hypothesis' stored
-    simulation (dashed), see :meth:`phase_ppl.analysis.posterior.Posterior.replay`.
+    Tracks are the observed ones (solid) and, for a sampled posterior, the stored simulation of the
+    best hypothesis (dashed; :meth:`phase_ppl.Posterior.replay`). The page is 10 x 6 inches, and
+    higher with more than two agents.
     """
     world = post.scene.world
     related = [*post.relations_of, *post.scenarios_of]

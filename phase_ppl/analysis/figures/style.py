@@ -83,10 +83,10 @@ R = TypeVar("R")
 
 
 def new_figure(width: float, height: float, title: str = "", note: str = "") -> Figure:
-    """Return an empty white figure, inches, that belongs to no global state.
+    """Return an empty white figure of ``width`` x ``height`` inches that ``pyplot`` does not know.
 
-    It finds the place of its parts; the title stands above them on the left, the note below. A
-    notebook that shows it draws it, whatever the backend.
+    It lays out its parts itself. ``title`` stands above them on the left, ``note`` below. A
+    notebook shows the figure, whatever matplotlib's backend.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -119,7 +119,7 @@ def _figure_class() -> type[Figure]:
 
 
 def in_style(draw: Callable[P, R]) -> Callable[P, R]:
-    """Have a function draw in the common style."""
+    """Return a function that draws as ``draw`` does, in the package's style."""
 
     @functools.wraps(draw)
     def styled(*args: P.args, **options: P.kwargs) -> R:
@@ -159,7 +159,7 @@ def warned(figure: Figure, text: str) -> None:
 
 
 def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """Return the figure, written to ``path`` as well if there is one."""
+    """Return the figure; with a ``path`` also write it there, as .png, .pdf or .svg."""
     if path is not None:
         with atomic_output(path, FORMATS) as part:
             figure.savefig(part, dpi=200)

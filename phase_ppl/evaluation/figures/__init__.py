@@ -1,9 +1,9 @@
 """Figures of an evaluation or of a comparison of models, for an article.
 
 They show who is right and who agrees with people. Every function takes an evaluation or a
-comparison, or the folder of one, and returns a matplotlib figure. With ``path`` (.png, .pdf, .svg)
-the figure is also written. Matplotlib's global state is left alone. If the results lack the data of
-a figure, it raises :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawError`.
+comparison, or the folder of one, and returns a matplotlib figure that ``pyplot`` does not know.
+With ``path`` the figure is also written to that file, as .png, .pdf or .svg. If the results lack
+the data of a figure, :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawError` is raised.
 """
 
 # pages show the figures in the order of these imports

@@ -60,10 +60,10 @@ if TYPE_CHECKING:
 def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of goals against people's, by true scenario.
 
-    In other worlds than PHASE they are by agent.
+    In other worlds than PHASE points are by agent.
 
     Raises:
-        NothingToDrawError: nobody judged what a model gives probabilities for.
+        NothingToDrawError: nobody judged a goal that a model gives probabilities for.
     """
     results = opened(source)
     clouds: dict[Source, pd.DataFrame] = {}
@@ -117,12 +117,12 @@ _PARTS: Final = ("relation_r", "relation_r_given_truth")
 def people(source: Results, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's shares.
 
-    Each model has a row of two panels. The first shows probabilities against shares, the second
-    the same minus the mean over events of the same true relation. Above them is r with its
-    interval.
+    Each model has a row of two panels. The first shows probabilities against people's shares; in
+    the second, both are minus their mean over events of the same true relation. Above a panel is r
+    with its interval.
 
     Raises:
-        NothingToDrawError: nobody judged relations to which a model gives probabilities.
+        NothingToDrawError: nobody judged a relation that a model gives probabilities for.
     """
     results = opened(source)
     shown = [o for o in results.sources if o.kind != "people" and o.metrics.get("doubt")][:_MODELS]
@@ -187,8 +187,8 @@ _TICKS: Final = 5  # moments that the axis names
 def over_time(source: Results, path: PathLike | None = None) -> Figure:
     """Draw people and models over the film, for up to four events and five answers each.
 
-    The answers are the relations of two agents, and of every other question the one that people
-    gave most. Bars are 95 % intervals of people's mean, over resampled people.
+    The answers are all relations, if the world has two agents; for every other question, the answer
+    that people gave most. Bars are 95 % intervals of people's mean, over resampled people.
 
     Raises:
         NothingToDrawError: nobody judged at a moment of a film.
@@ -282,7 +282,7 @@ def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
 def tags(source: Tags | PathLike, path: PathLike | None = None) -> Figure:
     """Draw the share of videos in each category, as the paper does for its 23 labels.
 
-    Labels are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). A video
+    ``source`` holds the labels, or is the CSV file that :func:`phase_ppl.load_tags` reads. A video
     has a category if at least half of its viewers chose the label.
 
     Raises:
@@ -311,8 +311,8 @@ def tags(source: Tags | PathLike, path: PathLike | None = None) -> Figure:
 def likeness(source: Likeness | PathLike, path: PathLike | None = None) -> Figure:
     """Draw people's ratings of how likely the behaviour is, in two groups of videos.
 
-    Ratings are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). The note
-    has the test of equivalence.
+    ``source`` holds the ratings, or is the CSV file that :func:`phase_ppl.load_likeness` reads. The
+    note below the figure has the test of equivalence.
 
     Raises:
         InvalidEventError: the file holds no ratings; the message names file and line.

@@ -93,7 +93,7 @@ def correlation(source: Results, path: PathLike | None = None) -> Figure:
     """Draw how well models, and people among themselves, correlate with people's answers.
 
     Raises:
-        NothingToDrawError: nobody judged what a model gives probabilities for.
+        NothingToDrawError: nobody judged anything that a model gives probabilities for.
     """
     models = [o for o in opened(source).sources if o.kind != "people"]
     found = {

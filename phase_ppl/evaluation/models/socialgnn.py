@@ -128,26 +128,26 @@ def train_socialgnn(
     settings: TrainingSettings | None = None,
     progress: bool | None = None,
 ) -> dict[str, Any]:
-    """Train networks on a generated data set, and return the report, which is written too.
+    """Train networks on a generated data set; return the report, which is written too.
 
-    They are asked by ``evaluate(events, "socialgnn", weights=out)``.
+    ``evaluate(events, "socialgnn", weights=out)`` asks them.
 
     Args:
-        data: folder of the set (:func:`phase_ppl.generate`), with the splits "train" and
+        data: folder of the data set (:func:`phase_ppl.generate`), with the splits "train" and
             "validation".
-        out: folder for the networks, see the module.
+        out: folder for the networks and the report (``extended.npz``, ``extended.json``).
         seeds: number of networks.
-        seed: of the first; the others have those that follow.
-        settings: how each is trained.
-        progress: True or False for a bar on stderr; None: where stderr is a terminal.
+        seed: seed of the first network; the other networks have the seeds that follow.
+        settings: how each network is trained; None: the default ``TrainingSettings``.
+        progress: whether to show a bar on stderr; None: if stderr is a terminal.
 
     Returns:
-        Per network and for all together the accuracies by split and scenario, with 95 % intervals;
-        the curves, losses and accuracies per epoch; seconds of CPU.
+        For each network, and for all together, the accuracies by split and scenario, with 95 %
+        intervals; the curves, losses and accuracies per epoch; seconds of CPU.
 
     Raises:
         InvalidSettingError: PyTorch is not installed, or a number is not allowed.
-        InvalidEventError: ``data`` holds no generated set, or none of a split.
+        InvalidEventError: ``data`` holds no generated set, or no event of a split.
         OutputError: ``out`` cannot be written, holds networks already, or another process is at
             work in it.
     """
