@@ -25,7 +25,7 @@ STEPS = {
     "import phase_study.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments": (
         "starlette uvicorn websockets markdown_it"
     ),
-    "assert 'vlm' in ppl.available_models()": "google.genai jax",
+    "assert 'vlm' in ppl.available_models()": "torch jax",
     "print(ppl.evaluate('collaborate', 'last_frame', progress=False))": (
         "jax numpyro arviz matplotlib"
     ),

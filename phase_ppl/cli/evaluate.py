@@ -66,6 +66,9 @@ def evaluate(options: Options) -> int:
     plain = options.given(*_SHORT_FOR)
     for name in plain.keys() & {"kernel", "prior", "simulator"}:
         plain[name] = users_parts.taken(plain[name], name, named=name != "simulator")
+    if "client" in options.option:  # of the model vlm
+        client = options.option.pop("client")
+        plain["client"] = users_parts.taken(str(client), "client", named=False)
     of_models = users_parts.options_of(models, plain, options.option)
     events = phase_ppl.all_events(options.events, options.split)
     if options.judgments is not None:

@@ -116,7 +116,8 @@ class ModelInfo:
 
     def make(self, **options: Any) -> Predict:
         """Return the model."""
-        check_installed(f"model {self.name!r}", self.needs, self.extra)
+        if missing := not_installed(self.needs, self.extra):
+            raise InvalidSettingError(f"model {self.name!r} needs {missing}")
         try:
             inspect.signature(self.factory).bind(**options)
         except TypeError as error:
@@ -165,13 +166,6 @@ def model_info(name: str) -> ModelInfo:
         UnknownNameError: there is no such model; the message names close matches.
     """
     return MODELS[name]
-
-
-def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
-    """Raise InvalidSettingError where a module is missing that ``what`` needs."""
-    missing = not_installed(needs, extra)
-    if missing:
-        raise InvalidSettingError(f"{what} needs {missing}")
 
 
 def not_installed(needs: Sequence[str], extra: str | None) -> str | None:
