@@ -215,10 +215,9 @@ def _keep(found: ModelComparison, options: Options) -> None:
 
 
 def reproduce(options: Options) -> None:
-    """Reproduce the paper's tables and figures, cell by cell.
+    """Reproduce the numbers that the paper prints, cell by cell.
 
-    Runs the models of the paper, and compares every number and figure with the results, on one
-    page.
+    Runs the models of the paper, and compares every number with the results.
 
     Args:
         --videos FILE: phase-test JSON or the authors' release; required
@@ -226,9 +225,7 @@ def reproduce(options: Options) -> None:
         --profile quick|paper: quick (the default): few simulations and searches; paper: as in the
             paper
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
-        --vlm-store DIR: stored answers of a vision-language model
-        --tags FILE: people's labels, a .csv file
-        --likeness FILE: people's ratings of likeness, a .csv file
+        --vlm DIR: answers of a vision-language model, by evaluate --model vlm --out DIR
         --steered FILE: a file or folder of events that people steered, with judgments in them
         $seed
         --resume: continue the run in DIR
@@ -237,9 +234,9 @@ def reproduce(options: Options) -> None:
 
     example: phase-ppl reproduce --videos test.json --profile quick --out paper
     """
-    from phase_ppl.evaluation.reproduce import PAGE, RESULT
+    from phase_ppl.evaluation.reproduce import COMPARED, RESULT, TABLE
 
     say = functools.partial(print, file=sys.stderr, flush=True)
     made = options.call(phase_ppl.reproduce, say=say)
     print(made)
-    print(f"\nWritten to {made.folder}: {PAGE}, {RESULT}")
+    print(f"\nWritten to {made.folder}: {RESULT}, {TABLE}, {COMPARED}/report.html")
