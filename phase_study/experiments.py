@@ -315,11 +315,14 @@ def _read(
 ) -> pd.DataFrame:
     """Return columns of a CSV file as text; cells of ``filled`` ones must not be empty."""
     source = ppl.files.existing_file(path)
+    given: dict[str, Any] = {"dtype": object, "keep_default_na": False, "index_col": False}
     try:
-        read = pd.read_csv(source, usecols=list(names), dtype=object, keep_default_na=False)
-    except ValueError as error:  # no such table
-        raise ppl.errors.InvalidEventError(f"{path}: {error}") from None
-    table = read[list(names)].apply(lambda cells: cells.str.strip())
+        with warnings.catch_warnings(action="error"):  # of a row with more cells than columns
+            read = pd.read_csv(source, **given)[list(names)]
+    except (ValueError, KeyError, pd.errors.ParserWarning) as error:
+        what = f"no table with the columns {', '.join(names)}: {str(error).strip()}"
+        raise ppl.errors.InvalidEventError(f"{path}: {what}") from None
+    table = read.apply(lambda cells: cells.str.strip())
     if table.empty:
         raise ppl.errors.InvalidEventError(f"{path}: holds no rows")
     for name in filled:

@@ -17,7 +17,7 @@ import dataclasses
 import importlib.util
 import inspect
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeAlias
 
@@ -75,7 +75,6 @@ all processes share, such as compiled code on disk. ``settings()`` returns, as p
 that determines its answers."""
 
 Factory = Callable[..., Predict]  # ``factory(**options)`` checks the options and returns the model
-MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,8 +89,6 @@ class ModelInfo:
             that needs the whole accelerator, or is faster than starting a process.
         needs: modules that must be installed beside what the package itself needs.
         extra: the extra of this package that brings them, if one does.
-        more_options: of a factory that takes ``**options``: their names, given the options;
-            None where it can be any.
         any_world: whether it may be asked about events of other worlds than PHASE.
     """
 
@@ -101,18 +98,7 @@ class ModelInfo:
     parallel: bool = True
     needs: tuple[str, ...] = ()
     extra: str | None = None
-    more_options: MoreOptions | None = None
     any_world: bool = False
-
-    def takes(self, name: str, options: Mapping[str, Any]) -> bool:
-        """Return whether the model has an option of that name."""
-        parameters = inspect.signature(self.factory).parameters.values()
-        if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
-            return True
-        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
-            return False
-        more = None if self.more_options is None else self.more_options(options)
-        return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
         """Return the model."""
@@ -136,7 +122,6 @@ def register_model(
     parallel: bool = True,
     needs: Sequence[str] = (),
     extra: str | None = None,
-    more_options: MoreOptions | None = None,
     any_world: bool = False,
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that makes a factory of models known under ``name``.
@@ -149,7 +134,7 @@ def register_model(
     return MODELS.register(
         name,
         lambda factory, summary: ModelInfo(
-            name, factory, summary, parallel, tuple(needs), extra, more_options, any_world
+            name, factory, summary, parallel, tuple(needs), extra, any_world
         ),
     )
 

@@ -126,9 +126,9 @@ PRINTED: Final = (
 # --- held against ours ----------------------------------------------------------------------------
 
 _INSIDE: Final = (
-    "inside: the paper's value lies in the 95 % interval of ours, or ours in the paper's, or both are "
-    "the same to the digits printed; of a bound, our interval does not lie above it; a wide interval "
-    "says little"
+    "inside: the paper's value lies in the 95 % interval of ours, or ours in the paper's, or both "
+    "are the same to the digits printed; of a bound, our interval does not lie above it; a wide "
+    "interval says little"
 )
 
 

@@ -208,7 +208,7 @@ def test_a_vision_language_model_is_asked_before(cheap: None, videos: Path, tmp_
         folder = tmp_path / name
         ppl.evaluate(videos, "vlm", client=answers, limit=n, out=folder, progress=False)
     found = cells(ppl.reproduce(tmp_path / "out", videos, vlm=tmp_path / "all", **given))
-    assert found["vlm", "r with people, goals"].verdict in ("inside", "outside")
+    assert found["vlm", "r with people, relations"].verdict in ("inside", "outside")
     with pytest.raises(InvalidEventError, match="some holds answers about other events than"):
         ppl.reproduce(tmp_path / "other", videos, vlm=tmp_path / "some", **given)
 

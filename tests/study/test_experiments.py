@@ -61,9 +61,11 @@ RATED = "participant,video,group,rating\n"
 
 def test_mistakes_in_files_are_named(tmp_path: Path) -> None:
     mistakes: list[tuple[Any, str, str]] = [
-        (Tags.load, "participant,video\np,a\n", "label"),
+        (Tags.load, "participant,video\np,a\n", "no table with .* label"),
+        (Tags.load, f"{LABELLED}p,a,x,y\n", "Length of header"),
         (Tags.load, f"{LABELLED},a,x\n", "line 2: participant '' must not be empty"),
-        (Tags.load, f"{LABELLED}p,a,x\np,a,x\n", "line 3: label 'x' is there for that video a second time"),
+        (Tags.load, f"{LABELLED}p,a,x\np,a,x\n",
+         "line 3: label 'x' is there for that video a second time"),
         (Likeness.load, f"{RATED}p,a,g,6\n", "line 2: rating '6' is not 1 to 5"),
         (Likeness.load, f"{RATED}p,a,g,4\np,a,g,4\n",
          "line 3: video 'a' is there for that participant a second time"),

@@ -165,7 +165,7 @@ def test_what_was_said_is_kept_and_not_asked_for_again(tmp_path: Path) -> None:
         "replies": [{"text": "?"}, {"text": f"```json\n{text()}\n```", "model": "m-001"}],
         "repairs": ["code fence removed"],
     }
-    with pytest.raises(InvalidSettingError, match="options.name is 'other', was 'm'"):
+    with pytest.raises(InvalidSettingError, match=r"options\.name is 'other', was 'm'"):
         ppl.evaluate(TWO, "vlm", resume=True, **{**asked, "name": "other"})
 
 
