@@ -211,10 +211,10 @@ class Likeness:
             self._means(by).groupby("group").agg(["mean", "std", "size"])
             for by in ("videos", "participants")
         )
-        error = videos["std"] / np.sqrt(videos["size"])
-        low, high = stats.t.interval(0.95, videos["size"] - 1, videos["mean"], error)
+        half = stats.t.ppf(0.975, videos["size"] - 1) * videos["std"] / np.sqrt(videos["size"])
         found = {
-            **{"mean": videos["mean"], "ci_low": low, "ci_high": high},
+            "mean": videos["mean"],
+            **{"ci_low": videos["mean"] - half, "ci_high": videos["mean"] + half},
             **{"sd_videos": videos["std"], "sd_participants": people["std"]},
             **{"videos": videos["size"], "participants": people["size"]},
             "ratings": self.table.groupby("group").size(),
