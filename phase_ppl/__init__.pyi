@@ -52,10 +52,6 @@ from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInt
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
 from phase_ppl.evaluation.evaluation import compare_models as compare_models
-from phase_ppl.evaluation.experiments import Likeness as Likeness
-from phase_ppl.evaluation.experiments import Tags as Tags
-from phase_ppl.evaluation.experiments import load_likeness as load_likeness
-from phase_ppl.evaluation.experiments import load_tags as load_tags
 from phase_ppl.evaluation.folder import all_events as all_events
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments

@@ -476,8 +476,8 @@ def _readme(
     of = "" if settings.world == ppl.worlds.PHASE else ', ppl.load_events("events.json")'
     reads = {
         "judgment": f'ppl.load_judgments("judgments.csv"{of})',
-        "tagging": 'ppl.load_tags("tags.csv")',
-        "likeness": 'ppl.load_likeness("likeness.csv")',
+        "tagging": 'ppl.study.Tags.load("tags.csv").plot()',
+        "likeness": 'ppl.study.Likeness.load("likeness.csv").summary()',
     }
     if kind in reads:
         lines += ["In Python, `import phase_ppl as ppl`:", "", f"    {reads[kind]}", ""]

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import phase_ppl as ppl
+from phase_study.experiments import LABELS
 from phase_study.settings import Settings
 from phase_study.store import Participant
 
@@ -144,7 +145,7 @@ def questions(settings: Settings, page: str) -> list[Page]:
     if kind != "trial":
         return []
     if settings.kind == "tagging":
-        return [_one("labels", "What happens? Choose all that fit.", ppl.Tags.LABELS, kind="many")]
+        return [_one("labels", "What happens? Choose all that fit.", LABELS, kind="many")]
     world, pairs = settings.world, ppl.pairs_of(settings.world)
     options = ppl.questions_of(world)
     found = [goal_question(world, agent, settings.self_goals) for agent in range(len(world.agents))]

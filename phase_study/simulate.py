@@ -30,6 +30,7 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_study import plan
+from phase_study.experiments import LABELS, Likeness, Tags
 from phase_study.settings import Settings
 from phase_study.store import FILE, Store
 from phase_study.study import CLIPS_FOLDER, VIDEOS, Served, Study
@@ -404,7 +405,7 @@ class Person:
             for start, labels in _BY_GOAL.items():
                 if goal.startswith(start):
                     likely |= labels
-        chances = {label: max(likely.get(label, 0.0), self.lapse / 10) for label in ppl.Tags.LABELS}
+        chances = {label: max(likely.get(label, 0.0), self.lapse / 10) for label in LABELS}
         chosen = [label for label, p in chances.items() if self.rng.random() < p]
         return chosen or [max(chances, key=lambda label: chances[label])]
 
@@ -412,17 +413,16 @@ class Person:
 def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     """Draw the possible figures of an export; return lines about them."""
     if kind == "tagging":
-        ppl.figures.tags(out / "tags.csv", out / "tags.png")
-        return [f"\nFigure: {out / 'tags.png'}"]
+        tags = Tags.load(out / "tags.csv")
+        tags.plot(out / "tags.png")
+        return [f"\nLabels:\n{tags.counts()}", f"Figure: {out / 'tags.png'}"]
     events = [event for event in copy.events.values() if event.truth is not None]
     judged = ppl.load_judgments(out / "judgments.csv", list(copy.events.values()))
     lines = [f"\n{judged}"]
     if kind == "likeness":
-        ppl.figures.likeness(out / "likeness.csv", out / "likeness.png")
-        lines += [
-            f"{ppl.load_likeness(out / 'likeness.csv').summary()}",
-            f"Figure: {out / 'likeness.png'}",
-        ]
+        likeness = Likeness.load(out / "likeness.csv")
+        likeness.plot(out / "likeness.png")
+        lines += [f"{likeness.summary().T}", f"Figure: {out / 'likeness.png'}"]
     if any(event.id in judged.judgments for event in events):
         right = judged.accuracy(events)
         for name in ("goal_accuracy", "relation_accuracy"):

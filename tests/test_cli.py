@@ -253,7 +253,7 @@ def test_commands_of_the_docs_are_accepted(
     root = Path(__file__).parents[1]
     for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
         text = page.read_text("utf-8").replace("\\\n", " ")
-        for line in re.findall(r"^(?:\.venv/bin/)?phase-ppl (.*)", text, re.MULTILINE):
+        for line in re.findall(r"^ *(?:\.venv/bin/)?phase-ppl (.*)", text, re.MULTILINE):
             words = shlex.split(line.partition("&&")[0], comments=True)
             assert main(words) == 0, (page.name, line)
     assert len(done) > 60

@@ -22,10 +22,10 @@ STEPS = {
         "arviz jax matplotlib numba numpyro pymunk scipy.stats torch"
     ),
     "import phase_ppl.analysis.figures": "jax numpyro arviz matplotlib",
-    "import phase_study.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments": (
+    "import phase_study.study, phase_ppl.cli.commands, phase_study.experiments": (
         "starlette uvicorn websockets markdown_it"
     ),
-    "assert 'vlm' in ppl.available_models()": "google.genai jax",
+    "assert 'vlm' in ppl.available_models()": "torch jax",
     "print(ppl.evaluate('collaborate', 'last_frame', progress=False))": (
         "jax numpyro arviz matplotlib"
     ),

@@ -100,8 +100,6 @@ EVENT: an event file, or a bundled event's name
 $cluster
 --keep-checkpoint: keep run.ckpt when the run is complete, to extend it
 $progress""",
-    "stored": "--stored NAME...: a reference model, whose answers the events carry, to be compared "
-    "too, or all; may be given several times",
     "posterior": """
 FILE: a posterior's .nc file, or the folder of infer
 --weights NAME: count or stratified; default: the file's""",

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
-import re
 import runpy
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -121,56 +119,3 @@ def stepwise_settings() -> set[str]:
     """Return the names of the settings of the closed loop's likelihood."""
     kinds = phase_ppl.StepwiseLikelihood, phase_ppl.Tracking
     return {field.name for kind in kinds for field in dataclasses.fields(kind)}
-
-
-def models_of(given: Sequence[str]) -> dict[str, str]:
-    """Return label -> model from ``--model NAME`` or ``LABEL=NAME``; by default the closed loop."""
-    found: dict[str, str] = {}
-    for text in given or ["stepwise"]:
-        label, equals, name = text.partition("=")
-        if label in found:
-            raise InvalidSettingError(
-                f"--model {label} is given twice: name them, as in --model one={name or label}"
-            )
-        if equals and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", label):
-            raise InvalidSettingError(f"--model {text}: {label!r} is no name for a folder")
-        found[label] = name if equals else text
-    return found
-
-
-def options_of(
-    models: Mapping[str, str], plain: Mapping[str, Any], named: Mapping[str, Any]
-) -> dict[str, dict[str, Any]]:
-    """Return label -> options of the model.
-
-    Args:
-        models: label -> model.
-        plain: options of every model that takes them; a single model gets all.
-        named: those of ``--option``; "LABEL.NAME" is for one model, "NAME" is plain.
-    """
-    from phase_ppl.evaluation.registry import model_info
-
-    parameters = inspect.signature(phase_ppl.evaluate).parameters
-    shared = dict(plain)
-    of_one: dict[str, dict[str, Any]] = {label: {} for label in models}
-    for text, value in named.items():
-        label, dot, name = text.rpartition(".")
-        if dot:
-            check_name(f"model in --option {text}:", label, models)
-        place = of_one[label] if dot else shared
-        if name in place or name in parameters:
-            why = "given twice" if name in place else "no option of a model"
-            raise InvalidSettingError(f"--option {text}: {why}")
-        place[name] = value
-    found: dict[str, dict[str, Any]] = {label: {} for label in models}
-    for name, value in shared.items():
-        takers = [
-            label
-            for label, model in models.items()
-            if len(models) == 1 or model_info(model).takes(name, {**shared, **of_one[label]})
-        ]
-        if not takers:
-            raise InvalidSettingError(f"{name}: none of the models {', '.join(models)} takes it")
-        for label in takers:
-            found[label][name] = value
-    return {label: {**found[label], **given} for label, given in of_one.items()}

@@ -332,34 +332,3 @@ def checked_rows(
     with in_front(", "):
         faults.check()
     return list(found.values())
-
-
-def read_columns(
-    path: str | os.PathLike[str],
-    names: Sequence[str],
-    check: Callable[[dict[str, Any]], None],
-    required: Sequence[str],
-    once: Sequence[str],
-) -> list[dict[str, Any]]:
-    """Return some columns of a CSV file, row by row, as ``check`` returns or refuses them.
-
-    Cells of ``required`` columns must not be empty; other columns are not read.
-    """
-
-    def header(given: list[str]) -> None:
-        for name in names:
-            if given.count(name) != 1:
-                raise InvalidEventError(f"expected a column {name}")
-
-    def row(cells: dict[str, str]) -> dict[str, Any]:
-        for name in required:
-            if not cells[name]:
-                raise InvalidEventError(f"{name} is empty")
-        kept: dict[str, Any] = {name: cells[name] for name in names}
-        check(kept)
-        return kept
-
-    found = read_rows(path, row, header, once)
-    if not found:
-        raise InvalidEventError(f"{path}: holds no rows")
-    return found

@@ -17,7 +17,7 @@ import dataclasses
 import importlib.util
 import inspect
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeAlias
 
@@ -76,7 +76,6 @@ all processes share, such as compiled code on disk. ``settings()`` returns, as p
 that determines its answers."""
 
 Factory = Callable[..., Predict]  # ``factory(**options)`` checks the options and returns the model
-MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +87,7 @@ class ModelInfo:
         factory: function ``factory(**options)`` that checks the options and returns the model: a
             function ``(scene, observation, seed)``.
         summary: first line of the factory's documentation.
-        parallel, needs, extra, more_options, any_world: the arguments of
+        parallel, needs, extra, any_world: the arguments of
             :func:`phase_ppl.register_model`.
     """
 
@@ -98,18 +97,7 @@ class ModelInfo:
     parallel: bool = True
     needs: tuple[str, ...] = ()
     extra: str | None = None
-    more_options: MoreOptions | None = None
     any_world: bool = False
-
-    def takes(self, name: str, options: Mapping[str, Any]) -> bool:
-        """Return whether the model has an option ``name`` when it is given ``options``."""
-        parameters = inspect.signature(self.factory).parameters.values()
-        if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
-            return True
-        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
-            return False
-        more = None if self.more_options is None else self.more_options(options)
-        return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
         """Return the model with these options.
@@ -118,7 +106,8 @@ class ModelInfo:
             InvalidSettingError: an option is unknown, missing or invalid, or a module is not
                 installed.
         """
-        check_installed(f"model {self.name!r}", self.needs, self.extra)
+        if missing := not_installed(self.needs, self.extra):
+            raise InvalidSettingError(f"model {self.name!r} needs {missing}")
         try:
             inspect.signature(self.factory).bind(**options)
         except TypeError as error:
@@ -137,7 +126,6 @@ def register_model(
     parallel: bool = True,
     needs: Sequence[str] = (),
     extra: str | None = None,
-    more_options: MoreOptions | None = None,
     any_world: bool = False,
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that registers a factory of models under ``name``.
@@ -150,8 +138,6 @@ def register_model(
         parallel: whether several processes may run the model in parallel.
         needs: modules that must be installed beside those that the package itself needs.
         extra: the extra of this package that installs them; None: no extra does.
-        more_options: for a factory that takes ``**options``: a function from the options given to
-            the names of those allowed, or to None if any name is; None: any name is allowed.
         any_world: whether the model may be asked about events of other worlds than PHASE.
 
     Raises:
@@ -160,7 +146,7 @@ def register_model(
     return MODELS.register(
         name,
         lambda factory, summary: ModelInfo(
-            name, factory, summary, parallel, tuple(needs), extra, more_options, any_world
+            name, factory, summary, parallel, tuple(needs), extra, any_world
         ),
     )
 
@@ -177,13 +163,6 @@ def model_info(name: str) -> ModelInfo:
         UnknownNameError: there is no such model; the message names close matches.
     """
     return MODELS[name]
-
-
-def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
-    """Raise InvalidSettingError where a module is missing that ``what`` needs."""
-    missing = not_installed(needs, extra)
-    if missing:
-        raise InvalidSettingError(f"{what} needs {missing}")
 
 
 def not_installed(needs: Sequence[str], extra: str | None) -> str | None:

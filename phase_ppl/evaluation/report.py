@@ -7,7 +7,7 @@ import functools
 import io
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
-from phase_ppl.evaluation.cells import INTERVALS, Table, metric_tables, number
+from phase_ppl.evaluation.cells import INTERVALS, metric_tables, number
 from phase_ppl.evaluation.comparison import ModelComparison, Source, label_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.figures.frame import DRAWINGS
@@ -35,8 +35,6 @@ from phase_ppl.world.progress import counted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL import Image
-
-    Drawn = tuple[str, str, Callable[[], Figure]]  # title, words, what draws it
 
 NAME: Final = "report.html"
 
@@ -72,36 +70,29 @@ def report(
     one = (ModelComparison if (source / COMPARISON).is_file() else Evaluation).load(source)
     check_output(target, (".html",))
     if isinstance(one, ModelComparison):
-        return write_page(page_of(one, progress=progress), target)
-    state = f"{len(one.predictions)} of {len(one.events)} events predicted"
-    settings = {"failures": one.failures, **one.settings, "cost": one.cost}
-    text = page_of(
-        one.compared, [f"{state}." if one.finished else f"{state}; not finished."],
-        title=f"Evaluation of {label_of(one.name)}", settings=settings, progress=progress,
-    )  # fmt: skip
-    return write_page(text, target)
-
-
-def write_page(text: str, path: str | os.PathLike[str]) -> Path:
-    """Write a page, whole or not at all; return its path."""
-    write_bytes(path, (".html",), text.encode())
-    return Path(path)
+        text = page_of(one, progress=progress)
+    else:
+        state = f"{len(one.predictions)} of {len(one.events)} events predicted"
+        settings = {"failures": one.failures, **one.settings, "cost": one.cost}
+        text = page_of(
+            one.compared, [f"{state}." if one.finished else f"{state}; not finished."],
+            title=f"Evaluation of {label_of(one.name)}", settings=settings, progress=progress,
+        )  # fmt: skip
+    write_bytes(target, (".html",), text.encode())
+    return target
 
 
 def page_of(
     results: ModelComparison,
     notes: Sequence[str] = (),
-    tables: Mapping[str, Sequence[Table]] | None = None,
-    more: Iterable[Drawn] = (),
     *,
     title: str = "Comparison of models",
     settings: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> str:
-    """Return a page with all that there is of results, below further notes and tables.
+    """Return a page with all that there is of results, below further notes.
 
-    ``more`` are titles, words and functions that draw figures of something else. ``settings`` are
-    of a single evaluation, which is not compared.
+    ``settings`` are of a single evaluation, which is not compared.
     """
     if settings is None:
         found = results.tables
@@ -112,19 +103,16 @@ def page_of(
         about = f"{', '.join(results.models)} on {len(results.events)} events."
         told = [about, *(f"{note}." for note in results.notes), *told]
         settings = {**results.settings, "models": {o.name: o.settings for o in results.entries}}
-    draws: list[Drawn] = [
-        (o.title, o.alt, functools.partial(o.draw, results)) for o in DRAWINGS.values()
-    ]
     drawn, left_out = [], []
-    for name, alt, draw in [*draws, *more]:
+    for one in DRAWINGS.values():
         try:
-            drawn.append((name, _figure(draw(), alt)))
+            drawn.append((one.title, _figure(one.draw(results), one.alt)))
         except InvalidSettingError as reason:
-            left_out.append(f"{name}: {reason}.")
+            left_out.append(f"{one.title}: {reason}.")
     warning = f"{REHEARSAL[:1].upper()}{REHEARSAL[1:]}." if rehearsed(results.events) else ""
     content = {
         **{"title": title, "warning": warning, "notes": [*notes, *told]},
-        "tables": {**(tables or {}), **found},
+        "tables": found,
         **{"drawn": drawn, "left_out": left_out, "version": phase_ppl.__version__},
         "items": [
             _item(e, results.sources) for e in counted(results.events, progress, "event", "showing")

@@ -4,33 +4,30 @@ The folder that it writes::
 
     DIR/
       models/LABEL/        an evaluation per model, event by event
-      comparison/          all answers together
+      comparison/          all answers together; report.html in it shows them, with all figures
       reproduction.json    every cell: the paper's value, ours, the verdict
-      reproduction.html    the same as one page, with all figures
+      reproduction.csv     the same as a table
 
 Finished parts are not repeated: the same call with ``resume`` continues.
 """
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from phase_ppl.data.generated import MANIFEST
 from phase_ppl.evaluation.bootstrap import Measure, proportion
-from phase_ppl.evaluation.cells import Table, lines_of, measure_text
+from phase_ppl.evaluation.cells import lines_of, measure_text
 from phase_ppl.evaluation.comparison import ModelComparison, label_of
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation, compare_models
-from phase_ppl.evaluation.experiments import Likeness, Tags, load_likeness, load_tags
-from phase_ppl.evaluation.figures import likeness as likeness_figure
-from phase_ppl.evaluation.figures import tags as tags_figure
 from phase_ppl.evaluation.folder import all_events
 from phase_ppl.evaluation.judgments import judged
 from phase_ppl.evaluation.metrics import at, human_accuracy
@@ -39,6 +36,7 @@ from phase_ppl.evaluation.table import PEOPLE
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.errors import (
     AnswerError,
+    InvalidEventError,
     InvalidSettingError,
     OutputError,
     check_name,
@@ -46,12 +44,10 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, locked, writable_folder, write_json
+from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes, write_json
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
+from phase_ppl.world.identity import event_digest
 from phase_ppl.world.scene import check_is_phase
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawn
 
 # --- what the paper prints: numbers with their places, and those of our metrics ------------------
 # The paper's other numbers are in figures only, and cannot be read off exactly.
@@ -60,8 +56,6 @@ SIMPLE: Final = "SIMPLE"
 SOCIALGNN: Final = "SocialGNN"
 PREDICATE: Final = "predicate inverse planning"
 VLM: Final = "Gemini"
-LABELLED: Final = "labels"
-RATED: Final = "likeness"
 STEERED: Final = "videos that people steer"
 EVENTS: Final = "PHASE"
 """Of whom, or of what, a number is, beside people."""
@@ -121,29 +115,21 @@ PRINTED: Final = (
     Printed(_SETS, "share of adversarial events", EVENTS, "adversarial", 192 / 500),
     Printed(_SETS, "fewest events of a goal category", EVENTS, "of_category.fewest", 47),
     Printed(_SETS, "most events of a goal category", EVENTS, "of_category.most", 129),
-    Printed(_SETS, "labels used, of 23", LABELLED, "used", 23),
-    Printed(_SETS, "labels that are a category", LABELLED, "categories", 18),
     *(
         Printed(_A2, f"mode of responses right, {kind}s", whose, f"majority.{kind}_accuracy", value)
         for whose, goals, relations in ((STEERED, 0.965, 0.92), (PEOPLE, 0.97, 0.99))
         for kind, value in (("goal", goals), ("relation", relations))
     ),
-    Printed(_A2, "mean likeness, videos that people steer", RATED, "played", 4.06),
-    Printed(_A2, "sd of likeness, videos that people steer", RATED, "played_sd", 0.36),
-    Printed(_A2, "mean likeness, PHASE", RATED, "generated", 3.98),
-    Printed(_A2, "sd of likeness, PHASE", RATED, "generated_sd", 0.42),
 )
-
-NOT_DRAWN: Final = (
-    "Fig. intro and Fig. of the model show photographs and sketches, Fig. interface the authors' "
-    "pages"
-)
-"""What of the paper's figures is no result."""
 
 
 # --- held against ours ----------------------------------------------------------------------------
 
-VERDICTS: Final = ("inside", "outside", "not computable")
+_INSIDE: Final = (
+    "inside: the paper's value lies in the 95 % interval of ours, or ours in the paper's, or both "
+    "are the same to the digits printed; of a bound, our interval does not lie above it; a wide "
+    "interval says little"
+)
 
 
 class Cell(NamedTuple):
@@ -165,14 +151,12 @@ class Reproduction(NamedTuple):
             interval; and ``verdict``: "inside", "outside" or "not computable".
         comparison: comparison of all models.
         notes: remarks on how the numbers came about.
-        drawn: further figures: title, words, and a function that draws the figure.
         folder: folder that holds everything.
     """
 
     cells: Sequence[Cell]
     comparison: ModelComparison
     notes: Sequence[str]
-    drawn: Sequence[tuple[str, str, Callable[[], Drawn]]]
     folder: Path
 
     def table(self, cells: Sequence[Cell]) -> pd.DataFrame:
@@ -183,6 +167,7 @@ class Reproduction(NamedTuple):
             printed = {"value": p.value, "ci_low": p.low, "ci_high": p.high}
             ours = measure_text(cell.ours, digits=p.digits)
             found[f"{cell.label}: {p.what}"] = {
+                "place": p.place,
                 "paper": ("< " if p.below else "") + measure_text(printed, digits=p.digits),
                 "ours": ours + (f" of {cell.videos}" if cell.videos else ""),
                 "verdict": cell.verdict,
@@ -192,7 +177,7 @@ class Reproduction(NamedTuple):
 
     def __str__(self) -> str:
         notes = (f"note: {note}" for note in self.notes)
-        table = self.table(self.cells).drop(columns="needs")
+        table = self.table(self.cells).drop(columns=["place", "needs"])
         return "\n".join([*notes, "", *lines_of(table, width=None)])
 
 
@@ -217,7 +202,7 @@ def verdict(printed: Printed, ours: Measure) -> str:
 # --- models that are asked ------------------------------------------------------------------------
 
 PROFILES: Final = ("quick", "paper")
-RESULT, PAGE = "reproduction.json", "reproduction.html"
+RESULT, TABLE = "reproduction.json", "reproduction.csv"
 MODELS, COMPARED = "models", "comparison"
 
 _VIDEOS: Final = 100  # that the paper has
@@ -231,7 +216,7 @@ class Asked(NamedTuple):
     whose: str = ""  # as which of the paper's models its numbers count
 
 
-def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[str, Asked]:
+def models_of(profile: str) -> dict[str, Asked]:
     """Return label -> model of a profile.
 
     "quick": SIMPLE with few simulations and searches as small as the fast planner's; "paper": as
@@ -258,9 +243,6 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
         "socialgnn": Asked("socialgnn", whose=SOCIALGNN),
         "socialgnn_original": Asked("socialgnn", {"variant": "original"}, SOCIALGNN),
     }
-    if vlm_store is not None:
-        kept = {"client": "google", "store": os.fspath(vlm_store), "replay": True}
-        found["vlm"] = Asked("vlm", kept, VLM)
     return found
 
 
@@ -270,9 +252,7 @@ def reproduce(
     *,
     profile: str = "quick",
     judgments: str | os.PathLike[str] | None = None,
-    vlm_store: str | os.PathLike[str] | None = None,
-    tags: str | os.PathLike[str] | None = None,
-    likeness: str | os.PathLike[str] | None = None,
+    vlm: str | os.PathLike[str] | None = None,
     steered: str | os.PathLike[str] | None = None,
     seed: int = 0,
     workers: int | None = None,
@@ -283,15 +263,13 @@ def reproduce(
     """Repeat the paper's experiments, and compare the results with the paper's numbers.
 
     Args:
-        out: folder to keep everything in; ``reproduction.html`` in it shows all results.
+        out: folder to keep everything in; ``comparison/report.html`` in it shows all results.
         videos: file of real videos: the authors' release, or JSON in the format "phase-test"
             (:mod:`phase_ppl.data.events_json`).
         profile: "quick": SIMPLE with few simulations and small searches; "paper": SIMPLE as
             printed, as intended, and as in this package.
         judgments: people's judgments of the videos, in place of those in the events.
-        vlm_store: folder with the stored answers of a vision-language model.
-        tags: CSV file of people's labels (:func:`phase_ppl.load_tags`).
-        likeness: CSV file of people's ratings (:func:`phase_ppl.load_likeness`).
+        vlm: folder of a finished evaluation of a vision-language model on the same videos.
         steered: file or folder of events that people steered, with people's judgments in them.
         seed: seed of the models.
         workers: largest number of processes; by default one per usable core.
@@ -311,10 +289,9 @@ def reproduce(
             f"{videos} holds generated events: reproduce takes real videos; evaluate takes any"
         )
     slots = number_of_workers(workers)
-    asked = models_of(profile, vlm_store)
+    asked = models_of(profile)
     whole_number("seed", seed, 0)
-    labels = None if tags is None else load_tags(tags)
-    rated = None if likeness is None else load_likeness(likeness)
+    answered = {} if vlm is None else {"vlm": Evaluation.load(vlm)}
     played = [] if steered is None else list(judged(all_events(steered), None))
     for event in played:
         check_is_phase(event.scene.world, "reproduce")
@@ -325,6 +302,9 @@ def reproduce(
         events = judged(all_events(videos), judgments)
         for event in events:
             check_is_phase(event.scene.world, "reproduce")
+        digests = {event.id: event_digest(event) for event in events}
+        if any(one.settings["events"] != digests for one in answered.values()):
+            raise InvalidEventError(f"{vlm} holds answers about other events than {videos}")
         missing = {}
         for label, one in asked.items():
             info = model_info(one.model)
@@ -342,9 +322,9 @@ def reproduce(
             except AnswerError as error:  # other models may do better
                 say(str(error))
                 found[label] = error.evaluation  # type: ignore[attr-defined]
-        comparison = compare_models(found, stored="all")
-        comparison.save(folder / COMPARED)
-        cells = list(_cells(comparison, asked, missing, labels, rated, played))
+        asked |= {label: Asked(label, whose=VLM) for label in answered}
+        comparison = compare_models({**found, **answered}, stored="all")
+        cells = list(_cells(comparison, asked, missing, played))
         notes = [f"real videos of {Path(videos).name}"]
         for label, why in missing.items():
             notes.append(f"{label_of(label)} is left out, for it needs {why}")
@@ -358,39 +338,18 @@ def reproduce(
             notes.append("quick: SIMPLE, as printed too, has 30 simulations a video and 100 a "
                          "decision; the paper has 105 and 1000")  # fmt: skip
         notes += comparison.notes
-        drawn = list(_drawings(labels, rated))
-        result = Reproduction(cells, comparison, notes, drawn, folder)
+        comparison = dataclasses.replace(comparison, notes=tuple(notes))
+        notes.append(_INSIDE)
+        result = Reproduction(cells, comparison, notes, folder)
         plain = [{**one._asdict(), "printed": one.printed._asdict()} for one in cells]
         record = {"profile": profile, "notes": notes, "cells": plain}
         write_json(folder / RESULT, record)
-        from phase_ppl.evaluation.report import write_page
+        table = result.table(cells).to_csv(index_label="number")
+        write_bytes(folder / TABLE, (".csv",), table.encode())
+        from phase_ppl.evaluation.report import report
 
-        write_page(reproduction_page(result, progress=progress), folder / PAGE)
+        report(comparison.save(folder / COMPARED), progress=progress)
         return result
-
-
-def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
-    """Return the page of a reproduction."""
-    counts = [f"{sum(one.verdict == kind for one in made.cells)} {kind}" for kind in VERDICTS]
-    words = (
-        f"{', '.join(counts)}. Inside: the paper's value lies in the 95 % interval of ours, or "
-        "ours in the paper's, or both are the same to the digits printed; of a bound, our interval "
-        "does not lie above it. A wide interval says little."
-    )
-    cells = [
-        Table(place, made.table([*of_place]))
-        for place, of_place in itertools.groupby(made.cells, lambda one: one.printed.place)
-    ]
-    from phase_ppl.evaluation.report import page_of
-
-    return page_of(
-        made.comparison,
-        [words, *(f"{note[:1].upper()}{note[1:]}." for note in made.notes), f"{NOT_DRAWN}."],
-        {"Numbers that the paper prints": cells},
-        made.drawn,
-        title="The paper, cell by cell",
-        progress=progress,
-    )
 
 
 # --- cells ----------------------------------------------------------------------------------------
@@ -401,9 +360,7 @@ _STORED: Final = {SIMPLE: "simple_authors", SOCIALGNN: "socialgnn_2023"}
 _JUDGED: Final = "people's judgments (--judgments)"
 _NEEDS: Final = {
     PEOPLE: _JUDGED,
-    VLM: "answers of a vision-language model (--vlm-store)",
-    LABELLED: "labels by people (--tags)",
-    RATED: "ratings by people (--likeness)",
+    VLM: "answers of a vision-language model (--vlm)",
     STEERED: "videos that people steer, with judgments (--steered)",
     "of_category": "what a goal category is, which the paper does not say",
     "human": f"the model's probabilities, and {_JUDGED}",
@@ -416,8 +373,6 @@ def _cells(
     comparison: ModelComparison,
     asked: Mapping[str, Asked],
     missing: Mapping[str, str],
-    tags: Tags | None,
-    likeness: Likeness | None,
     steered: Sequence[Event],
 ) -> Iterator[Cell]:
     """Yield each number of the paper beside those of ours that stand for it."""
@@ -427,8 +382,6 @@ def _cells(
     others = {
         PEOPLE: _of_people(comparison),
         EVENTS: _of_events(comparison.events),
-        LABELLED: {} if tags is None else _of_tags(tags),
-        RATED: {} if likeness is None else _of_likeness(likeness),
         STEERED: human_accuracy(steered) if any(event.judgments for event in steered) else {},
     }
     for printed in PRINTED:
@@ -481,45 +434,3 @@ def _of_people(comparison: ModelComparison) -> dict[str, Any]:
 def _of_events(events: Sequence[Event]) -> dict[str, Measure | None]:
     relations = np.array([event.truth.relation for event in events if event.truth is not None], str)
     return {name: proportion((relations == name).astype(float)) for name in RELATIONS}
-
-
-def _of_tags(tags: Tags) -> dict[str, Measure]:
-    table = tags.summary()
-    return {"used": _count((table["used"] > 0).sum()),
-            "categories": _count((table["percent"] > 0).sum())}  # fmt: skip
-
-
-_TAILS: Final = (0.025, 0.975)
-
-
-def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
-    from scipy.special import chdtri, stdtrit  # slow to import
-
-    # of the videos' means; the paper does not say of what its standard deviations are
-    found: dict[str, Measure] = {}
-    pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
-    for name, means in pairs:
-        value, n = float(means.mean()), len(means)
-        found[name] = _count(value)
-        if n > 1:
-            sd = float(means.std(ddof=1))
-            half = float(stdtrit(n - 1, 0.975)) * sd / n**0.5
-            found[name] |= {"ci_low": value - half, "ci_high": value + half}
-            low, high = (sd * ((n - 1) / float(chdtri(n - 1, tail))) ** 0.5 for tail in _TAILS)
-            found[f"{name}_sd"] = {"value": sd, "ci_low": low, "ci_high": high}
-    return found
-
-
-# --- figures that are of no comparison of models --------------------------------------------------
-
-
-def _drawings(
-    tags: Tags | None, likeness: Likeness | None
-) -> Iterator[tuple[str, str, Callable[[], Drawn]]]:
-    """Yield title, words and what draws it."""
-    if tags is not None:
-        words = "Bars: percentage of videos with each label."
-        yield "What people see (Fig. video annotation)", words, lambda: tags_figure(tags)
-    if likeness is not None:
-        words = "Ratings of likeness of two groups of videos, and their difference."
-        yield "Likeness to people (A.2)", words, lambda: likeness_figure(likeness)

@@ -1,6 +1,6 @@
 """A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro").
 
-Requests, replies, how answers are read, and Google's service.
+Requests, replies, and how answers are read.
 
 Answers are read strictly. Unambiguous faults are repaired, and every repair is noted; anything else
 is refused. Four faults are repaired: a code fence around the object, case and spaces in names,
@@ -12,10 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import io
-import json
-import os
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -29,15 +26,13 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
-    InvalidSettingError,
     number_or_nan,
     shown,
     unknown_name,
 )
-from phase_ppl.world.event import Event, Observation
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.identity import event_digest
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.scene import Scene
 
@@ -142,8 +137,8 @@ class Request:
         last = observation.n_frames - 1
         count = min(n_pictures, last + 1)
         self._chosen = np.linspace(0, last, count).round().astype(int).tolist()
-        self._rendering = rendering()
-        step = self._rendering["frames_per_step"] / self._rendering["fps"]
+        drawn = rendering()
+        step = drawn["frames_per_step"] / drawn["fps"]
         self._seconds = [index * step for index in self._chosen]
 
     @property
@@ -188,27 +183,6 @@ class Request:
             found.append(Picture(seconds, content.getvalue()))
         return tuple(found)
 
-    @property
-    def digest(self) -> str:
-        """A hash of the animation's content and drawing settings.
-
-        The files are not hashed: other versions of an encoder write other bytes.
-        """
-        seen = event_digest(Event(self._scene, self._observation))
-        return sha256(json.dumps([seen, self._rendering, self._chosen]))
-
-    def drawn(self) -> dict[str, object]:
-        """Return the size in bytes and a hash of the files drawn so far."""
-        files = {
-            "video": [self.video] if "video" in vars(self) else [],
-            "pictures": [each.png for each in self.pictures] if "pictures" in vars(self) else [],
-        }
-        return {
-            name: {"files": len(parts), "bytes": sum(map(len, parts)), "sha256": sha256(*parts)}
-            for name, parts in files.items()
-            if parts
-        }
-
 
 @dataclasses.dataclass(frozen=True)
 class Reply:
@@ -224,47 +198,26 @@ class Reply:
     # tokens, as the service counts them; None: not given
     tokens_in: int | None = None
     tokens_out: int | None = None
-    requests: int = 1  # how many were made until it came
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
+        object.__setattr__(self, "text", _writable(self.text))
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
 """A function that answers requests. Its ``ConnectionError`` or ``TimeoutError`` is retried."""
 
 
-class NoReply(AnswerError):
-    """A request got no answer.
-
-    Attributes:
-        again: whether the same request may succeed later.
-        requests: how many were made.
-    """
-
-    def __init__(self, reason: str, again: bool = False) -> None:
-        super().__init__(reason)
-        self.again, self.requests = again, 1
-
-
-def sha256(*parts: str | bytes) -> str:
-    """Return a hash of texts or bytes that follow each other."""
-    found = hashlib.sha256()
-    for part in parts:
-        found.update(part.encode() if isinstance(part, str) else part)
-    return found.hexdigest()
-
-
-def writable(text: str) -> str:
+def _writable(text: str) -> str:
     """Return a text without halves of surrogate pairs, which no file can hold."""
     return text.encode("utf-8", "replace").decode()
 
 
 def in_a_line(text: str) -> str:
     """Return a text, or its beginning, in one line that a file can hold."""
-    words = " ".join(writable(text).split())
+    words = " ".join(_writable(text).split())
     return words if len(words) <= _EXCERPT else words[: _EXCERPT - 3] + "..."
 
 
@@ -371,173 +324,3 @@ def _distribution(question: str, shares: object, repairs: list[str]) -> FloatArr
             done = f"the rest spread over {unnamed.sum()} goals"
         repairs.append(f"{question} sums to {total:.4g}; {done}")
     return np.asarray(values / values.sum())
-
-
-# --- Google's service, through its own library, google-genai --------------------------------------
-# The library retries temporary failures, and asks for JSON. The key is read from the environment
-# when a request is made, goes to the library alone, and is hidden in replies. Redirections are not
-# followed, since they would take the request along.
-
-LIBRARY: Final = "google.genai"  # the module that is needed
-MODEL: Final = "gemini-2.5-pro"  # the paper's
-BASE_URL: Final = "https://generativelanguage.googleapis.com"
-VARIABLES: Final = ("GOOGLE_API_KEY", "GEMINI_API_KEY")
-"""Environment variables that may hold the key; the first that does counts."""
-
-FIRST_WAIT: Final = 4.0
-LONGEST_WAIT: Final = 120.0
-"""First and longest wait before a retry, seconds; waits double."""
-
-_MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
-_SECRET_LENGTH: Final = 12
-"""Shorter keys are no secrets; hiding them would spoil the answers."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Google:
-    """Google's service.
-
-    Raises:
-        InvalidSettingError: an option is out of range, or does not go with what is shown.
-    """
-
-    model: str = MODEL  # as the service calls it
-    show: str = "video"  # or "pictures"
-    timeout: float = 300.0  # seconds to wait for an answer, or for its next piece
-    temperature: float | None = None  # None: the service decides
-    video_fps: float | None = None  # frames of the video that are looked at, per second; likewise
-    base_url: str = BASE_URL
-
-    def __post_init__(self) -> None:
-        for option, most in _MOST.items():
-            number, may_be_0 = getattr(self, option), option == "temperature"
-            if number is None:
-                continue
-            value = number_or_nan(number)
-            if not (0 < value <= most or (value == 0 and may_be_0)):
-                raise InvalidSettingError(
-                    f"{option}={shown(number)}, expected a number "
-                    f"{'>=' if may_be_0 else '>'} 0 and <= {most:g}"
-                )
-            object.__setattr__(self, option, value)
-        if self.video_fps is not None and self.show == "pictures":
-            raise InvalidSettingError("video_fps is for the video, but show='pictures'")
-
-    def __call__(self, request: Request, retries: int = 0) -> Reply:
-        """Return the answer to a request, made again by the library up to ``retries`` times.
-
-        Raises:
-            NoReply: there is no answer.
-            InvalidSettingError: there is no key, or it is refused; or there is no such model.
-        """
-        key = self._key()
-        _ = request.video if self.show == "video" else request.pictures  # that fails by itself
-        failure: NoReply | InvalidSettingError
-        made: list[Any] = []  # requests, by the library's own count
-        client = {"follow_redirects": False, "event_hooks": {"request": [made.append]}}
-        try:
-            reply = _asked(self, request, retries, key, client)
-        except Exception as error:
-            try:
-                failure = self._failure(error, key)
-            except Exception:  # a library's error that has no words
-                failure = NoReply(type(error).__name__)
-        else:
-            parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
-            return Reply(**parts | {"requests": len(made)})
-        if isinstance(failure, NoReply):
-            failure.requests = max(1, len(made))
-        raise failure  # from here it has no context, which would hold the request with its key
-
-    def named(self) -> dict[str, Any]:
-        """Return what determines the answers, as plain data."""
-        fields = ("model", "base_url", "show", "temperature", "video_fps")
-        given = {field: getattr(self, field) for field in fields}
-        return {"client": "google", **given, "answer": "json"}
-
-    def _key(self) -> str:
-        for variable in VARIABLES:
-            key = os.environ.get(variable, "").strip()
-            if key and not (key.isascii() and key.isprintable()):
-                raise InvalidSettingError(
-                    f"the key in {variable} has characters that no key can have"
-                )
-            if key:
-                return key
-        raise InvalidSettingError(
-            f"client 'google' needs its key in the environment variable {' or '.join(VARIABLES)}"
-        )
-
-    def _failure(self, error: Exception, key: str) -> NoReply | InvalidSettingError:
-        """Return an error of the library, or of what came, as one of ours."""
-        status = getattr(error, "code", None)
-        if not isinstance(status, int):
-            cause = error.__cause__ or error
-            # pydantic's words have pieces of what was sent
-            words = "an answer of another form" if hasattr(cause, "error_count") else str(cause)
-            return NoReply(_line(f"{type(cause).__name__}: {words}", key), again=True)
-        where = f"{self.base_url} answers HTTP {status}"
-        # the words of such answers like to repeat part of the key
-        if status in (401, 403) or "API_KEY_INVALID" in str(getattr(error, "details", "")):
-            return InvalidSettingError(f"{where}: the key in {' or '.join(VARIABLES)} is refused")
-        words = _line(str(getattr(error, "message", None)), key)
-        if status == 404:
-            return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
-        return NoReply(f"HTTP {status}: {words}")  # the library has tried again where that helps
-
-
-def _hidden(given: Any, key: str) -> Any:
-    """Return ``given``, if it is a text, without the key."""
-    secret = isinstance(given, str) and len(key) >= _SECRET_LENGTH
-    return given.replace(key, "[key]") if secret else given
-
-
-def _line(words: str, key: str) -> str:
-    # hidden before shortening, which could leave half of the key
-    return in_a_line(_hidden(words, key))
-
-
-def _asked(
-    service: Google, request: Request, retries: int, key: str, client: dict[str, Any]
-) -> Reply:
-    from google import genai
-    from google.genai import types
-
-    options = types.HttpOptions(
-        base_url=service.base_url,
-        timeout=round(1000 * service.timeout),
-        retry_options=types.HttpRetryOptions(
-            attempts=retries + 1, initial_delay=FIRST_WAIT, max_delay=LONGEST_WAIT
-        ),
-        client_args=client,
-    )
-    config = types.GenerateContentConfig(
-        temperature=service.temperature, response_mime_type="application/json"
-    )
-    parts: list[Any] = []
-    if service.show == "video":
-        chosen = types.VideoMetadata(fps=service.video_fps) if service.video_fps else None
-        blob = types.Blob(data=request.video, mime_type="video/mp4")
-        parts.append(types.Part(inline_data=blob, video_metadata=chosen))
-    else:
-        for picture in request.pictures:
-            parts.append(types.Part.from_text(text=f"{picture.seconds:g} s"))
-            parts.append(types.Part.from_bytes(data=picture.png, mime_type="image/png"))
-    parts.append(types.Part.from_text(text=request.prompt))
-    with genai.Client(api_key=key, vertexai=False, http_options=options) as asked:
-        found = asked.models.generate_content(model=service.model, contents=parts, config=config)
-    usage, finish = found.usage_metadata, None
-    if found.candidates:
-        finish = getattr(found.candidates[0].finish_reason, "value", None)
-    elif found.prompt_feedback:
-        finish = f"blocked: {getattr(found.prompt_feedback.block_reason, 'value', None)}"
-    # thinking is paid for too, even if it used up the limit
-    counts = (usage.candidates_token_count, usage.thoughts_token_count) if usage else ()
-    written = [count for count in counts if count is not None]
-    return Reply(
-        text=found.text or "",
-        finish=finish,
-        model=found.model_version,
-        tokens_in=usage.prompt_token_count if usage else None,
-        tokens_out=sum(written) if written else None,
-    )

@@ -1,4 +1,4 @@
-"""The paper's numbers beside ours: verdicts, what is missing, the page, and going on."""
+"""The paper's numbers beside ours: verdicts, what is missing, and going on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pandas as pd
 import pytest
 
 import phase_ppl as ppl
@@ -17,18 +18,22 @@ from phase_ppl.evaluation import reproduce as module
 from phase_ppl.evaluation.reproduce import (
     SIMPLE,
     STEERED,
-    VERDICTS,
     Asked,
     Printed,
     models_of,
     verdict,
 )
-from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    UnknownNameError,
+)
 from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
+from tests.models.vlm.answers import text
 from tests.models.walks import eight, make_set
 
-TAGS = "participant,video,label\np1,a,helping\np2,a,helping\np1,b,chasing\np2,b,\n"
 VOTES = {COLLABORATIVE: (9, 1, 0), INDEPENDENT: (1, 8, 1), COMPETING: (0, 2, 8),
          OPPOSING: (1, 0, 9)}  # fmt: skip
 
@@ -69,14 +74,12 @@ def test_a_model_is_like_people_where_nothing_shows_that_they_differ() -> None:
 
 
 def test_profiles_ask_more() -> None:
-    quick, paper = (models_of(profile, "kept") for profile in ("quick", "paper"))
+    quick, paper = (models_of(profile) for profile in ("quick", "paper"))
     assert set(quick) < set(paper)
-    assert "vlm" in quick
-    assert "vlm" not in models_of("quick", None)
     assert quick["simple_as_printed"].options["planner"] == "as_printed_fast"
     assert paper["simple_as_printed"].options == {"preset": "as_printed"}
     with pytest.raises(UnknownNameError, match="'quick'"):
-        models_of("quik", None)
+        models_of("quik")
 
 
 @pytest.fixture
@@ -90,7 +93,7 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
     info, said = module.model_info, "torch is not installed"
     absent = dataclasses.replace(info("majority"), needs=("torch",))
     for name, stands_in in {
-        "models_of": lambda profile, store: dict(asked),
+        "models_of": lambda profile: dict(asked),
         "model_info": lambda name: absent if name == "absent" else info(name),
         "not_installed": lambda needs, _: said if needs else None,
         "compare_models": functools.partial(module.compare_models, resamples=200),
@@ -101,7 +104,7 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
 @pytest.fixture
 def cheap(models: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have no pages either, which take most of the time."""
-    monkeypatch.setattr(module, "reproduction_page", lambda *given, **more: "a page")
+    monkeypatch.setattr("phase_ppl.evaluation.report.report", lambda *given, **more: None)
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +120,11 @@ def cells(made: ppl.Reproduction) -> dict[tuple[str, str], Any]:
     return {(one.label, one.printed.what): one for one in made.cells}
 
 
-def test_real_videos_give_cells_figures_and_one_page(
+def test_real_videos_give_cells_a_table_and_a_page(
     models: None, videos: Path, tmp_path: Path
 ) -> None:
-    tags = tmp_path / "tags.csv"
-    tags.write_text(TAGS)
     out, said = tmp_path / "out", list[str]()
-    made = ppl.reproduce(out, videos, tags=tags, workers=1, progress=False, say=said.append)
+    made = ppl.reproduce(out, videos, workers=1, progress=False, say=said.append)
     assert said[0] == "1 of 2: simple"
     found = cells(made)
     people = found["people", "relations right"]
@@ -134,22 +135,21 @@ def test_real_videos_give_cells_figures_and_one_page(
     assert of_scenario.verdict in ("inside", "outside")
     assert of_scenario.videos == 3
     assert found["absent", "relations right, competing"].missing == "torch is not installed"
-    assert "--vlm-store" in found["Gemini", "r with people, goals"].missing
-    assert found["labels", "labels that are a category"].ours["value"] == 2
+    assert "--vlm" in found["Gemini", "r with people, goals"].missing
     assert found["PHASE", "share of friendly events"].ours["value"] == 0.25
     kept = json.loads((out / module.RESULT).read_text())
     assert [one["verdict"] for one in kept["cells"]] == [one.verdict for one in made.cells]
-    assert {one["verdict"] for one in kept["cells"]} <= set(VERDICTS)
-    page = (out / module.PAGE).read_text()
-    for words in ("The paper, cell by cell", "Fig. video annotation", "Appendix A.2",
-                  "paper has 100 test videos, these are 12", "Accuracy by scenario"):  # fmt: skip
+    table = pd.read_csv(out / module.TABLE, index_col="number", keep_default_na=False)
+    assert set(table["verdict"]) == {"inside", "outside", "not computable"}
+    assert table["place"].iloc[-1].startswith("Appendix A.2")
+    page = (out / "comparison" / "report.html").read_text()
+    for words in ("paper has 100 test videos, these are 12", "Accuracy by scenario"):
         assert words in page
-    assert page.count("data:image/png") >= 5 + 12
     for words in ("0.59 [0.41, 0.77]", "0.965"):  # to the digits that are printed
         assert words in str(made)
 
 
-def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
+def test_it_goes_on_with_what_is_finished(
     cheap: None, videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
@@ -162,8 +162,7 @@ def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
         return evaluate(events, model, **given)
 
     monkeypatch.setattr(module, "evaluate", stops)
-    out, one = tmp_path / "out", tmp_path / "one.csv"
-    one.write_text(TAGS)
+    out = tmp_path / "out"
     command = ["reproduce", "--videos", str(videos), "--out", str(out), "--workers", "1", "--quiet"]
     assert main(command) == 130
     done = out / "models" / "simple"
@@ -176,8 +175,7 @@ def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
         ppl.reproduce(out, videos, **again)
     with pytest.raises(InvalidSettingError, match=r"with other settings: seed is 1, was 0"):
         ppl.reproduce(out, videos, seed=1, resume=True, **again)
-    made = ppl.reproduce(out, videos, tags=one, resume=True, **again)
-    assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
+    ppl.reproduce(out, videos, resume=True, **again)
     after = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
     assert after == before, "nothing is predicted twice"
 
@@ -199,6 +197,20 @@ def test_videos_that_people_steer_give_cells_where_they_are_judged(
     # beside them those of the generated videos: all modes of ``VOTES`` are right
     assert found["people", "mode of responses right, relations"].ours["value"] == 1
     assert "does not say" in found["PHASE", "most events of a goal category"].missing
+
+
+def test_a_vision_language_model_is_asked_before(cheap: None, videos: Path, tmp_path: Path) -> None:
+    def answers(request: Any) -> str:
+        return text()
+
+    given: dict[str, Any] = {"workers": 1, "progress": False, "say": lambda line: None}
+    for n, name in ((None, "all"), (3, "some")):
+        folder = tmp_path / name
+        ppl.evaluate(videos, "vlm", client=answers, limit=n, out=folder, progress=False)
+    found = cells(ppl.reproduce(tmp_path / "out", videos, vlm=tmp_path / "all", **given))
+    assert found["vlm", "r with people, relations"].verdict in ("inside", "outside")
+    with pytest.raises(InvalidEventError, match="some holds answers about other events than"):
+        ppl.reproduce(tmp_path / "other", videos, vlm=tmp_path / "some", **given)
 
 
 def test_generated_events_are_no_real_videos(cheap: None, tmp_path: Path) -> None:

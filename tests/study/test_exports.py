@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.world.errors import OutputError, UnknownNameError
 from phase_study import plan
+from phase_study.experiments import LABELS, Likeness, Tags
 from phase_study.settings import Settings
 from phase_study.study import Study
 from tests.study.studies import EVENTS, JUDGED, Person, edit, make_study, serving, table
@@ -187,7 +187,7 @@ def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
 def test_tags_are_of_the_list_and_are_read(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "tagging", demographics=False)
     come(study, {"labels": ["helping", "chasing"]}, {"labels": ["helping"]})
-    tags = ppl.load_tags(study.export(tmp_path / "out") / "tags.csv")
+    tags = Tags.load(study.export(tmp_path / "out") / "tags.csv")
     assert tags.viewers.to_dict() == dict.fromkeys(study.events, 2)
     assert set(tags.shares["helping"]) == {1.0}
     assert set(tags.shares["chasing"]) == {0.5}
@@ -210,7 +210,7 @@ def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
     assert list(study.events)[3:] == [f"{event}-generated" for event in EVENTS]
     come(study, *({**JUDGED, "likeness": rating} for rating in (3, 4, 5, 4)))
     out = study.export(tmp_path / "out")
-    likeness = ppl.load_likeness(out / "likeness.csv")
+    likeness = Likeness.load(out / "likeness.csv")
     assert likeness.groups == ("played", "generated")
     assert likeness.table["group"].value_counts().to_dict() == {"played": 6, "generated": 6}
     assert len(ppl.load_judgments(out / "judgments.csv").table) == 12 * 3

@@ -197,7 +197,7 @@ def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goal
         assert ("a person" in last["legend"]) is (world is SOLO)
     given: dict[str, Any] = {"lapse": 0, "drop_outs": 0, "progress": False}
     simulate(study, tmp_path / "out", 4, predictions=sure_of(study), **given)
-    found = ppl.load_likeness(tmp_path / "out" / "likeness.csv")
+    found = ppl.study.Likeness.load(tmp_path / "out" / "likeness.csv")
     assert found.table["group"].value_counts().to_dict() == {"played": 4, "generated": 4}
 
 
@@ -221,4 +221,4 @@ def test_checks_are_of_questions_of_the_world(accepted: str, tmp_path: Path) -> 
 def test_scripted_people_tag_events_of_any_world(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "tagging", TRIO)
     simulate(study, tmp_path / "out", 3, model="last_frame", drop_outs=0, progress=False)
-    assert set(ppl.load_tags(tmp_path / "out" / "tags.csv").viewers) == {3}
+    assert set(ppl.study.Tags.load(tmp_path / "out" / "tags.csv").viewers) == {3}

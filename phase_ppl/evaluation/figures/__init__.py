@@ -10,8 +10,7 @@ the data of a figure, :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawE
 # isort: off
 from phase_ppl.evaluation.figures.frame import DRAWINGS
 from phase_ppl.evaluation.figures.rows import accuracy, correlation, confusion
-from phase_ppl.evaluation.figures.people import likeness, over_time, people
-from phase_ppl.evaluation.figures.people import scatter_goals, tags
+from phase_ppl.evaluation.figures.people import over_time, people
 # isort: on
 
 __all__ = [
@@ -19,11 +18,8 @@ __all__ = [
     "accuracy",
     "confusion",
     "correlation",
-    "likeness",
     "over_time",
     "people",
-    "scatter_goals",
-    "tags",
 ]
 
 

@@ -1,4 +1,4 @@
-"""Figures of people: models against their shares and over time, their labels and ratings."""
+"""Figures of people: models against their shares, and over time."""
 
 from __future__ import annotations
 
@@ -8,29 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from phase_ppl.analysis.figures.style import (
-    COLOURS,
-    GREY,
-    INK,
-    NORMAL,
-    SMALL,
-    in_style,
-    new_figure,
-    titled,
-    warned,
-    written,
-)
-from phase_ppl.evaluation.cells import measure_text, number
-from phase_ppl.evaluation.comparison import PEOPLE_COLOUR, Source
+from phase_ppl.analysis.figures.style import GREY, NORMAL, new_figure, titled
+from phase_ppl.evaluation.cells import measure_text
+from phase_ppl.evaluation.comparison import PEOPLE_COLOUR
 from phase_ppl.evaluation.doubt import label_places, rows_of
-from phase_ppl.evaluation.experiments import (
-    MARGIN,
-    RATINGS,
-    Likeness,
-    Tags,
-    load_likeness,
-    load_tags,
-)
 from phase_ppl.evaluation.figures.frame import (
     NothingToDrawError,
     PathLike,
@@ -40,71 +21,16 @@ from phase_ppl.evaluation.figures.frame import (
     opened,
     scenario_colour,
     scenarios_of,
-    width_of,
 )
-from phase_ppl.evaluation.metrics import at as metric_at
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
-from phase_ppl.evaluation.ratings import REHEARSAL, Judgments, moments_of
-from phase_ppl.evaluation.table import Answers, parts_of, responses_of, titles_of, world_of
+from phase_ppl.evaluation.ratings import moments_of
+from phase_ppl.evaluation.table import Answers, responses_of, titles_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-# --- probabilities against shares
-
-
-@drawing("Goals: models against people")
-def scatter_goals(source: Results, path: PathLike | None = None) -> Figure:
-    """Draw models' probabilities of goals against people's, by true scenario.
-
-    In other worlds than PHASE points are by agent.
-
-    Raises:
-        NothingToDrawError: nobody judged a goal that a model gives probabilities for.
-    """
-    results = opened(source)
-    clouds: dict[Source, pd.DataFrame] = {}
-    for o in results.sources:
-        rows = Answers.of(results.events, o.predictions).whole
-        rows = rows[rows["kind"] == "goal"].dropna(subset=["people", "probability"])
-        if len(rows):
-            clouds[o] = rows
-    people = next((clouds.pop(o) for o in [*clouds] if o.kind == "people"), None)
-    if people is None or not clouds:
-        raise NothingToDrawError("people judged no goal that a model gives probabilities for")
-    parts = [name for _, name in parts_of(world_of(results.events), "goal")]
-    present = {name for rows in clouds.values() for name in rows["part"]}
-    columns = [name for name in (*parts, "") if name in present]
-    figure = new_figure(
-        width_of(clouds) + 0.3 + 1.4 * max(len(columns), 2),
-        1.0 + 1.4 * len(clouds),
-        note="Probabilities of the agents' goals; n: events.",
-    )
-    grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
-    for line, (answers, rows) in zip(grid, clouds.items(), strict=True):
-        for axes, name in zip(line, columns, strict=True):
-            axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
-            axes.scatter(
-                "people", "probability", s=9, alpha=0.4, lw=0, color=scenario_colour(name),
-                clip_on=False, data=rows[rows["part"] == name],
-            )  # fmt: skip
-            axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
-        r = metric_at(answers.metrics, ("human", "goal_r"))
-        label = answers.label if r is None else f"{answers.label}\nr = {number(r['value'])}"
-        line[0].set_ylabel(
-            label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
-            color=answers.colour,
-        )  # fmt: skip
-    for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
-        n = people.loc[people["part"] == name, "event"].nunique()
-        style = {"color": scenario_colour(name), "fontweight": "bold"}
-        titled(top, name or "scenario not known", f"n = {n}", fontsize=NORMAL, **style)
-        bottom.set_xlabel("people", fontsize=SMALL)
-    return figure
-
 
 # --- doubt
 
@@ -268,79 +194,3 @@ def _of_people(event: Event, moments: Iterable[float], question: str, label: str
         )
         within.append(np.quantile(times @ shares / len(shares), [0.025, 0.975]))
     return np.array(within).T
-
-
-# --- labels and ratings of videos (:mod:`phase_ppl.evaluation.experiments`)
-
-
-def _warn_of_scripted(figure: Figure, table: pd.DataFrame) -> None:
-    if table["participant"].str.startswith(Judgments.SCRIPTED).any():
-        warned(figure, REHEARSAL)
-
-
-@in_style
-def tags(source: Tags | PathLike, path: PathLike | None = None) -> Figure:
-    """Draw the share of videos in each category, as the paper does for its 23 labels.
-
-    ``source`` holds the labels, or is the CSV file that :func:`phase_ppl.load_tags` reads. A video
-    has a category if at least half of its viewers chose the label.
-
-    Raises:
-        InvalidEventError: the file holds no labels; the message names file and line.
-    """
-    given = source if isinstance(source, Tags) else load_tags(source)
-    found = given.summary()[::-1]
-    figure = new_figure(
-        *(6.4, 0.9 + 0.19 * len(found)),
-        note=f"Percentage of the {len(given.viewers)} videos for which at least half of their "
-        "viewers chose the label. Hollow: chosen by somebody, in no video by that many.",
-    )
-    axes = figure.subplots()
-    bars = axes.barh(found.index, found["percent"], 0.68, color=COLOURS[0])
-    axes.bar_label(bars, fmt="%.0f", padding=5, color=GREY)
-    for label in found.index[(found["percent"] == 0) & found["used"]]:
-        axes.plot(0, label, "o", ms=3.5, mfc="white", mec=COLOURS[0], clip_on=False, zorder=3)
-    axes.set(xlim=(0, max(10.0, 1.12 * found["percent"].max())), ylim=(-0.6, len(found) - 0.4))
-    axes.set_xlabel("videos, %")
-    axes.grid(axis="x")
-    _warn_of_scripted(figure, given.table)
-    return written(figure, path)
-
-
-@in_style
-def likeness(source: Likeness | PathLike, path: PathLike | None = None) -> Figure:
-    """Draw people's ratings of how likely the behaviour is, in two groups of videos.
-
-    ``source`` holds the ratings, or is the CSV file that :func:`phase_ppl.load_likeness` reads. The
-    note below the figure has the test of equivalence.
-
-    Raises:
-        InvalidEventError: the file holds no ratings; the message names file and line.
-    """
-    given = source if isinstance(source, Likeness) else load_likeness(source)
-    test = given.equivalence()
-    told = f"Difference of participants' means: {test['difference']:.2f}"
-    if test["p"] is not None:
-        told += f" [{test['ci_low']:.2f}, {test['ci_high']:.2f}] (90 %)"
-    shown = "shown" if test["equivalent"] else "not shown"
-    figure = new_figure(
-        *(5.4, 2.9),
-        note="Left: share of each rating. Right: mean rating of each video, and mean over videos. "
-        f"{told}; equivalence within {MARGIN} is {shown} (two one-sided tests).",
-    )
-    shares, means = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
-    for index, (group, values) in enumerate(given.means("videos").items()):
-        ratings = given.table.loc[given.table["group"] == group, "rating"]
-        share = [float((ratings == rating).mean()) for rating in RATINGS]
-        places = np.array(RATINGS) + 0.4 * (index - 0.5)
-        shares.bar(places, share, width=0.38, color=COLOURS[index], label=group)
-        means.plot([index] * len(values), values, "o", ms=3, color=COLOURS[index], alpha=0.5, mew=0)
-        means.plot([index - 0.25, index + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
-    shares.set(xticks=RATINGS, xlabel="rating", ylabel="share")
-    shares.legend(loc="upper left")
-    found = given.summary()
-    labels = [f"{g}\n{r['mean']:.2f} ± {r['sd_videos']:.2f}" for g, r in found.iterrows()]
-    means.set_xticks([0, 1], labels)
-    means.set(xlim=(-0.5, 1.5), ylim=(0.9, 5.1), yticks=RATINGS)
-    _warn_of_scripted(figure, given.table)
-    return written(figure, path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -122,14 +121,7 @@ def _given_way(
     return log_evidence, found
 
 
-def more_options(given: Mapping[str, Any]) -> list[str]:
-    """Return the options beside the prior: thresholds and rationality, whatever is given."""
-    from phase_ppl.models.predicate import PredicateSettings
-
-    return [field.name for field in dataclasses.fields(PredicateSettings)]
-
-
-@register_model("predicate", more_options=more_options, any_world=True)
+@register_model("predicate", any_world=True)
 def predicate(
     *, prior: str | None = None, preset: str | None = None, **options: Any
 ) -> PredicateInversePlanning:
@@ -147,7 +139,7 @@ def predicate(
 
     if preset is not None:
         check_preset(preset)
-    known = more_options(options)
+    known = [field.name for field in dataclasses.fields(PredicateSettings)]
     for name in options:
         if name not in known:
             raise InvalidSettingError(

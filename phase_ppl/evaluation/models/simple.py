@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.evaluation.registry import MoreOptions, Predict, register_model
+from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, check_name, unknown_name
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
@@ -72,7 +72,7 @@ def _options_of(function: Callable[..., Any]) -> list[str]:
     return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
 
 
-@register_model("simple", more_options=_of_simple, any_world=True)
+@register_model("simple", any_world=True)
 def simple(
     *,
     prior: Any = "uniform",
@@ -173,19 +173,7 @@ def _given(**options: Any) -> dict[str, Any]:
 # cannot be helped: a prior without social goals proposes none.
 
 
-def _without(changed: str) -> MoreOptions:
-    """Return a function that names the options of the model ``simple`` less the changed one."""
-
-    def more_options(given: Mapping[str, Any]) -> list[str] | None:
-        others = _of_simple(given)
-        if others is None:
-            return None
-        return [name for name in (*_options_of(simple), *others) if name != changed]
-
-    return more_options
-
-
-@register_model("no_physics", more_options=_without("simulator"), any_world=True)
+@register_model("no_physics", any_world=True)
 def no_physics(*, planner: Any = None, speed: float | None = None, **options: Any) -> Predict:
     """SIMPLE without physics: agents and items move along paths at a constant speed.
 
@@ -201,7 +189,7 @@ def no_physics(*, planner: Any = None, speed: float | None = None, **options: An
     return simple(simulator=simulator, **options)
 
 
-@register_model("noisy_physics", more_options=_without("simulator"), any_world=True)
+@register_model("noisy_physics", any_world=True)
 def noisy_physics(
     *,
     planner: Any = None,
@@ -225,25 +213,25 @@ def noisy_physics(
     return simple(simulator=simulator, **options)
 
 
-@register_model("full_observation", more_options=_without("simulator"), any_world=True)
+@register_model("full_observation", any_world=True)
 def full_observation(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with full observation: agents see everything at all times."""
     return simple(planner=_planner(planner, options, full_observation=True), **options)
 
 
-@register_model("true_state", more_options=_without("simulator"), any_world=True)
+@register_model("true_state", any_world=True)
 def true_state(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE without belief particles: agents plan on the true state, whatever they have seen."""
     return simple(planner=_planner(planner, options, true_state=True), **options)
 
 
-@register_model("no_cost_weight", more_options=_without("simulator"), any_world=True)
+@register_model("no_cost_weight", any_world=True)
 def no_cost_weight(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with lambda = 0: subgoals are chosen by their probability, whatever they cost."""
     return simple(planner=_planner(planner, options, cost_weight=0.0), **options)
 
 
-@register_model("no_social_goals", more_options=_without("prior"), any_world=True)
+@register_model("no_social_goals", any_world=True)
 def no_social_goals(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with alpha = 0: nobody helps or hinders; goals agree or clash by chance only."""
     _refuse(options, "prior")

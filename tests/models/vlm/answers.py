@@ -1,4 +1,4 @@
-"""Answers of a vision-language model, good ones and Google's envelope for them."""
+"""Answers of a vision-language model."""
 
 from __future__ import annotations
 
@@ -29,17 +29,3 @@ def answer(**changes: Any) -> dict[str, Any]:
 def text(**changes: Any) -> str:
     """Return :func:`answer` as it is sent."""
     return json.dumps(answer(**changes))
-
-
-def from_google(content: str | None, finish: str = "STOP") -> dict[str, Any]:
-    """Return what Google's API sends around a text."""
-    parts = [] if content is None else [{"text": "Hm.", "thought": True}, {"text": content}]
-    return {
-        "candidates": [{"content": {"role": "model", "parts": parts}, "finishReason": finish}],
-        "usageMetadata": {
-            "promptTokenCount": 1000,
-            "candidatesTokenCount": 200,
-            "thoughtsTokenCount": 30,
-        },
-        "modelVersion": "the-model-001",
-    }
