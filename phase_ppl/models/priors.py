@@ -55,6 +55,10 @@ PRIORS: Final = Registry[Program]("prior", entry_points="phase_ppl.priors")
 def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     """Return a decorator that makes a prior known under ``name``, as in ``Model(prior=name)``.
 
+    It decorates a NumPyro program without arguments that samples goals, alpha and strengths
+    (``phase_ppl.sites.HYPOTHESIS_SITES``), or any other program that :class:`phase_ppl.Model`
+    takes as its ``prior``. The program itself is not changed.
+
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
