@@ -161,7 +161,7 @@ class EventProgram:
 
     @tracing()
     def log_prior(self, sites: Sites) -> jax.Array:
-        """Return the log density of the prior, -inf outside its support."""
+        """Return the log prior density of ``sites`` (site -> value); -inf outside the support."""
         with handlers.block():  # where it is asked for within a program
             return log_density(self.model.prior, sites)
 

@@ -124,7 +124,8 @@ class Stage:
         """Return (entity,) whether the agent of index ``agent`` observes each entity now.
 
         An agent observes itself, entities in its field of view that nothing hides, and entities
-        that it touches or holds. It also observes what any of these touch or hold.
+        that it touches or holds. Along a chain, it also observes what an observed entity touches or
+        holds.
         """
         agent = self._number_of(agent)
         bodies, held, _ = compiled.from_state(self.state, self.scene.radius)
