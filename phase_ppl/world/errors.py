@@ -232,11 +232,7 @@ def check_fields(
 
 
 def positive_number(name: str, value: object) -> float:
-    """Return the setting ``name`` as a float.
-
-    Raises:
-        InvalidSettingError: ``value`` is no finite number above 0.
-    """
+    """Return the setting ``name`` as a float (InvalidSettingError: no finite number above 0)."""
     number = number_or_nan(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
@@ -244,11 +240,7 @@ def positive_number(name: str, value: object) -> float:
 
 
 def nonnegative_number(name: str, value: object) -> float:
-    """Return the setting ``name`` as a float.
-
-    Raises:
-        InvalidSettingError: ``value`` is no finite number >= 0.
-    """
+    """Return the setting ``name`` as a float (InvalidSettingError: no finite number >= 0)."""
     number = number_or_nan(value)
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")

@@ -69,11 +69,9 @@ def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: 
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write ``record`` to the .json file ``path``, whole or not at all.
+    """Write ``record`` to the .json file ``path``. See :func:`atomic_output` for errors.
 
-    Raises:
-        OutputError, InvalidSettingError: as for :func:`atomic_output`.
-        ValueError: a number is not finite.
+    The file is written whole or not at all (ValueError: a number is not finite).
     """
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (".json",), f"{text}\n".encode())

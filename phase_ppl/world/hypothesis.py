@@ -402,18 +402,12 @@ class Hypothesis(Printed):
 
     @property
     def relation(self) -> str:
-        """Relation of the two agents, as :meth:`relation_between`.
-
-        AttributeError: the world does not have two agents.
-        """
+        """Relation of the agents in a world of two agents, as in :meth:`relation_between`."""
         return self.relation_between(*self._of_two(self.world.agents))
 
     @property
     def scenario(self) -> str:
-        """Scenario of the two agents, as :meth:`scenario_between`.
-
-        AttributeError: the world does not have two agents.
-        """
+        """Scenario of the agents in a world of two agents, as in :meth:`scenario_between`."""
         return self.scenario_between(*self._of_two(self.world.agents))
 
     def _of_two(self, each: Sequence[Any]) -> Sequence[Any]:

@@ -57,20 +57,13 @@ _READ_AS: Final = (" to ", " away from ")
 
 
 class Landmark(NamedTuple):
-    """A square on the floor.
+    """A square on the floor."""
 
-    Attributes:
-        name: name of the landmark.
-        x, y: centre of the square, units.
-        half_width: half the side of the square, units.
-        colour: (red, green, blue), each from 0 to 255.
-    """
-
-    name: str
-    x: float
+    name: str  # its name
+    x: float  # its centre, units
     y: float
-    half_width: float
-    colour: Colour
+    half_width: float  # half its side, units
+    colour: Colour  # red, green and blue, 0..255
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -112,15 +112,22 @@ def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
 
 @register_kernel("local_mh", validity="exact", needs=("guide", "settings"), any_length=True)
 class LocalMH(MetropolisKernel):
-    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals; the module has its rules.
+    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals.
+
+    A proposal comes from a window, a short interval of the video in which the current simulation
+    has large errors. Formulas are in :mod:`phase_ppl.inference.kernels.local_mh`.
 
     Args:
-        program, early_reject: as of every Metropolis-Hastings kernel.
-        guide: proposal program over the prior's sites; initial hypotheses come from its proposal
-            for the whole observation.
-        settings: eta and the length of the windows; by default the paper's.
-        rule: "exact": Hastings' ratio with the window summed out; "window": with the window in
-            it; "paper": the ratio as printed, which is biased.
+        program: the event's program, of :func:`phase_ppl.program`.
+        guide: bottom-up proposal program over the prior's sites; None: the program's. Its proposal
+            for the whole video draws the initial hypotheses.
+        settings: ``SimpleSettings``, of which eta and the length of the windows are used; None: the
+            program's, or the paper's.
+        rule: acceptance ratio. "exact": Hastings' ratio with the window summed out; "window":
+            Hastings' ratio with the window as part of the move; "paper": the ratio as printed,
+            which is biased.
+        early_reject: whether to stop a simulation once it cannot be accepted any more. The chain is
+            the same with and without.
 
     Raises:
         UnknownNameError: there is no such rule.

@@ -443,10 +443,11 @@ class ProposalKernel(MetropolisKernel):
 
 @register_kernel("prior_mh", validity="exact", any_length=True)
 class PriorMH(ProposalKernel):
-    """Metropolis-Hastings with proposals from the prior.
+    """Metropolis-Hastings with proposals from the prior, an independence sampler.
 
-    An independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio of
-    likelihoods.
+    Prior and proposal cancel, so the acceptance ratio is the ratio of likelihoods. Arguments:
+    ``program``, of :func:`phase_ppl.program`, and ``early_reject``: whether to stop a simulation
+    once it cannot be accepted any more. ``guide`` and ``settings`` are not used.
     """
 
     def proposed(
@@ -461,8 +462,8 @@ class PriorMH(ProposalKernel):
 class SingleSiteMH(ProposalKernel):
     """Metropolis-Hastings that proposes one site at a time from the prior.
 
-    A random site is drawn from its prior given the sites above it; all others stay. A user's own
-    sites move like any other, in any hierarchy.
+    A random site is drawn from its prior given the sites above it; all other sites stay. Further
+    sites of your own prior move too. Arguments are those of :class:`PriorMH`.
     """
 
     def proposed(

@@ -66,14 +66,16 @@ class SamplerState(NamedTuple):
 class NumpyroKernel(EventKernel):
     """Base of kernels that run a NumPyro sampler on real numbers that stand for a hypothesis.
 
-    The inverse distribution functions of the prior's sites turn them into a hypothesis, goals
-    included.
+    The inverse distribution functions of the prior's sites turn the numbers into a hypothesis,
+    goals included. A subclass makes the sampler, in :meth:`sampler`. All particles are simulated
+    together.
 
-    A subclass makes the sampler, in :meth:`sampler`. All particles are simulated together.
+    Args:
+        program: the event's program, of :func:`phase_ppl.program`.
 
     Raises:
-        InvalidSettingError: a site of the prior has no inverse distribution function; when started:
-            an ensemble has too few chains, or an odd number.
+        InvalidSettingError: a site of the prior has no inverse distribution function; or, when the
+            kernel starts, an ensemble sampler has too few chains, or an odd number.
     """
 
     starts, moves = ("begun",), ("moved",)  # the sampler simulates from within
@@ -86,18 +88,18 @@ class NumpyroKernel(EventKernel):
 
     @abstractmethod
     def sampler(self) -> MCMCKernel:
-        """Return NumPyro's sampler of a point (dimension,), with :attr:`potential`."""
+        """Return NumPyro's sampler of points (dimension,), made with ``self.potential``."""
 
     @property
     def dimensions(self) -> int:
-        """Length of a point: a number per site, and one for the simulator's noise.
+        """Length of a point: a number per site and one for the simulator's seed.
 
-        With ``Model(noise="fixed")`` the last one is left out.
+        With ``Model(noise="fixed")`` there is none for the seed.
         """
         return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
-        """Return - log density of a point (dimension,), up to a constant."""
+        """Return minus the log density of a point (dimension,), up to a constant."""
         error = self._simulated(point)[2]
         # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
         volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
