@@ -121,8 +121,8 @@ class LocalMH(MetropolisKernel):
         program: the event's program, of :func:`phase_ppl.program`.
         guide: bottom-up proposal program over the prior's sites; None: the program's. Its proposal
             for the whole video draws the initial hypotheses.
-        settings: ``SimpleSettings``, of which eta and the length of the windows are used; None: the
-            program's, or the paper's.
+        settings: ``SimpleSettings`` with eta and the length of windows; None: the program's, or
+            else the paper's.
         rule: acceptance ratio. "exact": Hastings' ratio with the window summed out; "window":
             Hastings' ratio with the window as part of the move; "paper": the ratio as printed,
             which is biased.

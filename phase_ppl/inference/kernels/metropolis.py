@@ -443,11 +443,11 @@ class ProposalKernel(MetropolisKernel):
 
 @register_kernel("prior_mh", validity="exact", any_length=True)
 class PriorMH(ProposalKernel):
-    """Metropolis-Hastings with proposals from the prior, an independence sampler.
+    """Metropolis-Hastings with proposals from the prior.
 
-    Prior and proposal cancel, so the acceptance ratio is the ratio of likelihoods. Arguments:
-    ``program``, of :func:`phase_ppl.program`, and ``early_reject``: whether to stop a simulation
-    once it cannot be accepted any more. ``guide`` and ``settings`` are not used.
+    It is an independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio
+    of likelihoods. ``program`` comes from :func:`phase_ppl.program`. ``early_reject`` says whether
+    to stop a simulation once it cannot be accepted any more. The other arguments have no effect.
     """
 
     def proposed(

@@ -170,9 +170,9 @@ def _together(state: Any) -> Any:
 class EnsembleKernel(NumpyroKernel):
     """Affine-invariant ensemble sampling (Goodman, Weare 2010).
 
-    The particles are an ensemble; each half moves along lines through the other. An iteration is a
-    stretch or a differential evolution move, at random. It needs an even number of chains, at least
-    twice as many as sites, seed included; with fewer they might move in a subspace.
+    The particles are an ensemble; each half moves along lines through the other half. An iteration
+    is a stretch or a differential evolution move, at random. The number of chains must be even, and
+    at least twice the number of sites, seed included: fewer might move in a subspace.
     """
 
     validity: ClassVar[str] = "exact"
@@ -189,10 +189,11 @@ _POOL: Final = 8  # points per number that moves
 class SampleAdaptiveKernel(NumpyroKernel):
     """Sample Adaptive MCMC (Zhu 2019).
 
-    A pool of points per particle proposes a new point, which replaces another. The draw of an
-    iteration is a random point of the pool, which has eight points for each site and the seed. They
-    are simulated at the start, and it takes many iterations to leave them behind. Small pools bias:
-    on the tests' toy by a total variation of 0.05 with two points per site, below 0.015 with eight.
+    Each particle has a pool of eight points for each site and the seed. The pool proposes a new
+    point, which replaces one of its points. The draw of an iteration is a random point of the pool.
+    The first points are simulated at the start, and it takes many iterations to replace them all.
+    Small pools bias: on the tests' toy with a known posterior by a total variation of 0.05 with two
+    points per site, below 0.015 with eight.
     """
 
     validity: ClassVar[str] = "consistent"
@@ -285,10 +286,10 @@ class RandomWalk(MCMCKernel):
 class GibbsKernel(EventKernel):
     """Gibbs sampling: random walks site by site.
 
-    It updates the discrete sites one by one, in random order, then the real sites and the seed. A
-    discrete site is proposed evenly from its other values, with the simulator's seed kept. The
-    target is the joint law of hypothesis and seed. An iteration takes one simulation for each
-    discrete site and one for the rest.
+    It updates the discrete sites one by one, in random order, then the real sites and the seed. The
+    proposal for a discrete site is one of its other values, all equally likely; the simulator's
+    seed stays. The target is the joint distribution of hypothesis and seed. An iteration takes one
+    simulation for each discrete site and one for real sites and seed.
 
     Raises:
         InvalidSettingError: a discrete site's values are not 0, 1, ..., n.
