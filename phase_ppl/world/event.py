@@ -80,7 +80,7 @@ class State:
 # --- what an observer sees: the entities' trajectories, and nothing else --------------------------
 
 SHOWN_SECONDS_PER_FRAME: Final = 0.25
-"""Seconds for which a film shows a frame, which is 1/12 simulated second: a third of real speed."""
+"""Seconds that a film takes for a frame. A frame is 1/12 simulated second: a third of its speed."""
 
 MIN_FRAMES: Final = 2
 
@@ -99,7 +99,7 @@ class Observation:
             entities in the order of ``world.entities``. Frame 0 is the start. Frame k is the mean
             over the five substeps of planner step k, which takes a twelfth of a simulated second.
             :meth:`at_rate` and :meth:`at_times` convert frames at other rates. NaN means that a
-            body was not seen in a frame: either all its three numbers are NaN, or its angle alone.
+            body was not seen in a frame (all its three numbers are NaN), or that its angle was not.
         said: how the trajectory was made from tracks, in words; "" if nothing was done to them.
 
     Raises:
@@ -349,9 +349,9 @@ class Observation:
         return self.trajectory[..., 2]
 
     def until(self, seconds: float) -> Observation:
-        """Return the frames that the film has shown by then, at least two, as an observation.
+        """Return the frames that the film shows until ``seconds``, at least two, as an observation.
 
-        A film also draws pictures between two frames. They are made of both, so they do not count.
+        A film also has pictures between two frames. They do not count, since they come from both.
 
         Args:
             seconds: time since the film began, seconds of the film (0.25 per frame).
@@ -384,7 +384,7 @@ class Thoughts:
         subgoals: (step, agent) the subgoal of each agent, a ``phase_ppl.goals.Literal``.
         actions: (step, agent) the action of each agent, a number of ``phase_ppl.Action``.
         agreeing: (step, agent) share of the agent's belief particles that have its subgoal.
-        seen: (step, agent, entity) whether the agent had the entity in view.
+        seen: (step, agent, entity) whether the agent observed the entity.
         held: (step, agent) index of the entity that the agent held; -1: nothing.
         particles: (step, agent, particle, entity, [x, y, angle]) belief particles, units and rad.
     """
@@ -402,7 +402,7 @@ class Truth:
     """What generated an event of PHASE: effective goals, relation and, if known, strengths.
 
     Attributes:
-        goal_red, goal_green: effective goal of the red and of the green agent, of ``GOALS``.
+        goal_red, goal_green: effective goal of the red and the green agent, one of ``GOALS``.
         relation: "friendly", "neutral" or "adversarial"; by default it follows from the goals.
         scenario: "collaborative", "independent", "competing" or "opposing"; by default it follows
             from the goals.

@@ -213,8 +213,8 @@ class Hypothesis(Printed):
         stated: (agent,) own goal of each agent, an index into ``world.goals``. The own goal of an
             agent that helps or hinders has no effect, and may be None. ``goal_<agent>``, such as
             ``goal_red``, is the own goal of one agent; ``world.keys`` has the agents' short names.
-            Where ``stated`` has None, ``goal_<agent>`` is the goal of the agent that it helps or
-            hinders, worded for the helping or hindering agent.
+            Where ``stated`` has None, ``goal_<agent>`` is the goal that the agent would have if it
+            helped the agent that it helps or hinders.
         towards: (agent,) whom each agent helps or hinders: a pair of that agent's index and 1 for
             helping, -1 for hindering; or None.
         strengths: (agent,) maximum force of each agent, newtons. ``strength_<agent>``, such as

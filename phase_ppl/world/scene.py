@@ -242,9 +242,10 @@ class World:
 
         First come those about landmarks: each entity to and away from each landmark, such as "Get
         ball to home". Then "get to ..." and "get away from ..." each touchable entity, where the
-        agent that has the goal moves itself. Then goals that move a named agent to or away from a
-        touchable entity: from an item in worlds of two agents or more, from an agent in worlds of
-        three or more. Last come the user-defined predicates, each followed by its negation.
+        agent that has the goal moves itself. Then goals about a named agent and a touchable entity,
+        such as "Get red agent to ball": with an item in worlds of two agents or more, with another
+        agent in worlds of three or more. Last come the user-defined predicates, each followed by
+        its negation.
         """
         users = ((one.name, f"not {one.name}") for one in self.predicates)
         return (
