@@ -78,7 +78,7 @@ class StepwiseLikelihood:
             own; 20 or more.
 
     Raises:
-        InvalidSettingError: a value that cannot be used.
+        InvalidSettingError: a value cannot be used.
     """
 
     sharpness: float = 4.0

@@ -165,8 +165,8 @@ def register_family(
         scenario: scenario of at least one pair of agents in each situation; "independent": of all
             pairs.
         layouts: numbers of PHASE's wall layouts in which the family can be drawn.
-        variants: names of the family's variants. The function then takes a name of them as second
-            argument.
+        variants: names of the family's variants. If there are some, the function's second argument
+            is one of these names.
         world: the family's world, or the name of a ready-made one. None: any world that has the
             least numbers below, and no family of its own of that name.
         agents, items, landmarks: least number of each in a world, if ``world`` is None.

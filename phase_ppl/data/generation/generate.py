@@ -200,7 +200,8 @@ def generate(
             the paper's 500 events. In other worlds, or with ``roles``, scenes are random.
         splits: name of a split -> share of the events; by default the paper's 320 / 80 / 100.
         copies: number of further copies of each event, with other reflections and colours, in the
-            event's split. Only PHASE has them; there the event's own are drawn at random too.
+            event's split. Only PHASE has copies. Reflection and colours of the event itself are
+            drawn at random there too.
         planner: settings of the agents' planner: "fast", "paper", another name of
             :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``.
         seed: a whole number >= 0, the seed of everything random.

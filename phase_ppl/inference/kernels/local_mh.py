@@ -149,11 +149,14 @@ class LocalMH(MetropolisKernel):
 
     @property
     def validity(self) -> Validity:
-        """Whether the stationary law is the posterior: not with the printed rule."""
+        """"exact" if the stationary distribution is the posterior; "approximate" as printed."""
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
-        """Return (window,) log Q(sites | S_k); -inf for windows that do not exist."""
+        """Return the log density (window,) of proposing ``sites`` from each window.
+
+        It is -inf for windows that do not exist.
+        """
         windows = jnp.arange(self.most_windows)
         density = jax.vmap(lambda window: self.guide.log_prob(sites, window))(windows)
         if self.program.is_padded:
@@ -165,11 +168,11 @@ class LocalMH(MetropolisKernel):
         return self.guide.draw(key, self.n_windows)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
-        """Return log Q(sites | whole observation)."""
+        """Return the log density of proposing ``sites`` from the whole observation."""
         return self.guide.log_prob(sites, self.n_windows)
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
-        """Propose from a window in which the simulation is off."""
+        """Propose from a window in which the simulation has large errors."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
         move = self.local_move(window, sites, state)
@@ -178,7 +181,7 @@ class LocalMH(MetropolisKernel):
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Return a window in which the simulation is off, and a hypothesis proposed from it."""
+        """Return a window with large errors of the simulation, and a hypothesis from it."""
         window = random.categorical(key_window, self.log_windows(state.step_error))
         return window, self.guide.draw(key_sites, window)
 
@@ -200,7 +203,7 @@ class LocalMH(MetropolisKernel):
         )
 
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
-        """Return the part of the log reverse probability that depends on the simulation."""
+        """Return the part of the log reverse probability that depends on the errors (time,)."""
         before = state.memo["log_proposal"]
         return log_after(self._rule, move.window, before, self.log_windows(step_error))
 
@@ -230,7 +233,7 @@ class LocalMH(MetropolisKernel):
         return Request(sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
-        """Return (window,) log r(k | e), of the windows that exist."""
+        """Return (window,) the log probability of choosing each window, given errors (time,)."""
         length = window_length(self.program.n_frames, self.settings.window)
         count = self.n_windows if self.program.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

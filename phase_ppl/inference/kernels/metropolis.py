@@ -428,7 +428,10 @@ class ProposalKernel(MetropolisKernel):
     def proposed(
         self, key: jax.Array, state: MHState
     ) -> tuple[dict[str, jax.Array], jax.Array, jax.Array | float]:
-        """Return a hypothesis z', log q(z | z') - log q(z' | z), and ``Move.log_proposal``."""
+        """Return a hypothesis z', log q(z | z') - log q(z' | z), and the log density of its draw.
+
+        q is the proposal, z the hypothesis of ``state``. The log density is NaN if it is unknown.
+        """
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)

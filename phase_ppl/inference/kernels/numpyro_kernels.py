@@ -107,6 +107,7 @@ class NumpyroKernel(EventKernel):
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE_POTENTIAL)
 
     def begun(self, keys: jax.Array, _: Any) -> SamplerState:
+        """Return the first state of all particles, drawn from the prior with ``keys``, (chain,)."""
         keys = for_each(lambda key: random.split(key, 3), keys)
         # starting points from the prior
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
@@ -117,6 +118,7 @@ class NumpyroKernel(EventKernel):
         return SamplerState(none, z, sim_seed, error, inner, none > 0, none, keys[:, 2])
 
     def moved(self, state: SamplerState) -> SamplerState:
+        """Return the next state of all particles."""
         keys = for_each(random.split, state.rng_key)
         # a start makes the sampler ready; what it would simulate, the compiler leaves out
         sampler, _ = self._started(keys[:, 0], state.inner.z)
