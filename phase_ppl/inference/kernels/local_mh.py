@@ -149,7 +149,7 @@ class LocalMH(MetropolisKernel):
 
     @property
     def validity(self) -> Validity:
-        """"exact" if the stationary distribution is the posterior; "approximate" as printed."""
+        """How far to trust the kernel: "exact", or "approximate" with the printed rule."""
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
