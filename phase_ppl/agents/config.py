@@ -28,26 +28,30 @@ class PlannerConfig:
     defaults follow the authors' code; :meth:`as_printed` has the printed rules.
 
     Attributes:
-        particles: K, belief particles per agent.
-        cost_weight: lambda, weight of the mean cost in the value V of a subgoal.
-        cost: C, path length of the present "leg": to the item or, once it is held, on to its
-            goal (authors' code); or of the whole "plan": both legs (printed).
-        stops_when_done: an agent stops only if its goal is reached in more than half of its
-            particles. If False, stopping is one more subgoal in the maximum of V (printed).
-        simulations: POMCP simulations per decision.
-        rollout_length: random steps after each new node.
-        c_init, c_base: constants of PUCT.
-        discount: of rewards per step (authors' code).
-        early_stop: end a search once no other action can catch up; never changes the action.
-        paired: all root actions meet the same particles and random numbers (common random
-            numbers), so that they are compared like with like; a deviation from the paper.
-        inner_steps: solver steps per physics substep in imagination.
-        swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code);
-            if False, that it is rigidly held (printed).
+        particles: number of belief particles of each agent, K.
+        cost_weight: weight of the mean cost in the value V of a subgoal, lambda.
+        cost: what the cost C of a subgoal is: path length of the present "leg", to the item or,
+            once it is held, on to its goal (authors' code); or of the "plan", both legs (printed).
+        stops_when_done: True: an agent stops only if its goal is reached in more than half of its
+            particles. False: stopping is one more subgoal in the maximum of V (printed).
+        simulations: number of POMCP simulations per decision.
+        rollout_length: number of random steps after each new node of the search.
+        c_init, c_base: constants of PUCT, the rule by which the search chooses actions.
+        discount: factor on rewards for each step into the future (authors' code).
+        early_stop: whether a search ends once no other action can catch up. It never changes the
+            action.
+        paired: whether all root actions of a search meet the same particles and random numbers
+            (common random numbers), and so are compared like with like. The paper does not do so.
+        inner_steps: number of solver steps per physics substep when agents imagine the future.
+        swivel: True: agents imagine that a held item hangs on a rod, free to swivel (authors'
+            code). False: they imagine that it is rigidly held (printed).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
-        true_state: ablation: agents plan on the true state instead of belief particles; sight
-            only decides which items they head straight for.
+        true_state: ablation: agents plan on the true state instead of belief particles. What they
+            see decides only which items they head straight for.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a value is not allowed.
     """
 
     particles: int = 50
@@ -92,18 +96,17 @@ class PlannerConfig:
     def as_printed(self) -> PlannerConfig:
         """Return these settings with the rules printed in Algorithm 1 and Appendix 3.
 
-        Stopping takes part in the maximum of V, C is the cost of the whole plan, and grips are
-        rigid. The numbers stay: ``PlannerConfig.fast().as_printed()`` searches as little as the
-        fast preset.
+        The rules are ``cost="plan"``, ``stops_when_done=False`` and ``swivel=False``. Numbers stay:
+        ``PlannerConfig.fast().as_printed()`` searches as little as the fast preset.
         """
         return dataclasses.replace(self, cost="plan", stops_when_done=False, swivel=False)
 
     @classmethod
     def named(cls, planner: str | PlannerConfig) -> PlannerConfig:
-        """Return the preset of that name, or ``planner`` itself if it is a config.
+        """Return the preset that ``planner`` names, or ``planner`` itself if it has settings.
 
-        "paper" has the paper's numbers, "fast" is :meth:`fast`. "as_printed" and "as_printed_fast"
-        are these with the printed rules (:meth:`as_printed`).
+        "paper" is ``PlannerConfig()``, "fast" is :meth:`fast`. "as_printed" and "as_printed_fast"
+        are "paper" and "fast" with the printed rules (:meth:`as_printed`).
 
         Raises:
             UnknownNameError: no preset has that name.
@@ -116,15 +119,12 @@ class PlannerConfig:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> PlannerConfig:
-        """Return the settings that :meth:`to_dict` wrote.
-
-        Raises:
-            UnknownNameError: there is no such setting.
-        """
+        """Return the settings that :meth:`to_dict` wrote (UnknownNameError: no such setting)."""
         known = [field.name for field in dataclasses.fields(cls)]
         for name in stored:
             check_name("setting of the planner", name, known)
         return cls(**stored)
 
     def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain data: name -> value."""
         return dataclasses.asdict(self)

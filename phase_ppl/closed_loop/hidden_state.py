@@ -116,31 +116,31 @@ _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken f
 
 @dataclasses.dataclass(frozen=True)
 class Tracking:
-    """How the hidden state is followed.
+    """Settings by which the closed loop follows hidden states: velocities, holds, strengths.
 
-    The scales and the tail were chosen on ten of the real videos, by agreement with the actions
-    recovered from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``).
-    ``strength_weight`` was chosen by the log score of the strengths of the first half of the real
-    videos, with and without noise on the positions (``benchmarks/stepwise.py beam``).
+    ``scale``, ``angle_scale`` and ``tail`` were chosen on ten of the real videos, by agreement with
+    the actions recovered from these videos, and confirmed on all 50 (``benchmarks/stepwise.py
+    replays``). ``strength_weight`` was chosen by the log score of the strengths of the first half
+    of the real videos, with and without noise on the positions (``benchmarks/stepwise.py beam``).
 
-    ``strength_weight`` is far below 1, because a beam keeps few of the many histories that frames
-    cannot tell apart. So the evidence for a pair of strengths varies far more than it should, on
-    the model's own videos too.
+    ``strength_weight`` is far below 1, because a beam (the states kept) has few of the many
+    histories that frames cannot tell apart. So the evidence for a pair of strengths varies far more
+    than it should, on the model's own videos too.
 
     Attributes:
-        strengths: forces that each agent may have, newtons, ascending.
+        strengths: forces that each agent may have, newtons, ascending, from 150 to 600.
         states: number of states kept, in addition to the best one of each combination of strengths.
-        strength_weight: exponent of each frame's density as evidence for strengths; below 1 it is
-            tempered.
-        scale: scale of an entity's distance from where the right action would have put it, units;
-            noise of the observation is added.
-        angle_scale: the same for an agent's angle, rad.
-        tail: degrees of freedom of both, Student's t.
-        noise: standard deviation of the observed positions, units. None: estimated from the frames
-            so far.
+        strength_weight: exponent of each frame's density as evidence for strengths. Below 1 this
+            evidence is tempered.
+        scale: scale of the density of an entity's distance from where the right action would have
+            put it, units. The noise of the observation is added to it.
+        angle_scale: scale of the density of an agent's deviation from the right angle, rad.
+        tail: degrees of freedom of Student's t, the form of both densities.
+        noise: standard deviation of the noise on observed positions, units. None: estimated from
+            the frames so far.
 
     Raises:
-        InvalidSettingError: a value that cannot be used.
+        InvalidSettingError: a value cannot be used.
     """
 
     strengths: tuple[float, ...] = STRENGTH_LEVELS

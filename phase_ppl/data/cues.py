@@ -1,12 +1,12 @@
 """Surface cues of a video: what agents do, without any inference about goals.
 
-Each is a function of scene and observation that returns a number of a size of about 1. It is about
-two agents, by their places in ``scene.world.agents``; by default the first two. Cues are evidence
-of a relation, not parts of a model of how videos come about: a prior that uses them looks at the
-video, which the likelihood explains too.
+A cue is a function ``cue(scene, observation, pair)`` that returns a number of a size of about 1.
+``pair`` are the indices of two agents in ``scene.world.agents``, by default the first two. Cues are
+evidence of a relation, not parts of a model of how videos come about: a prior that uses them looks
+at the video, which the likelihood explains too.
 
-Those of two agents raise an InvalidSettingError if the world has no such agents; all raise an
-InvalidEventError if a body was not seen in some frame.
+A cue raises an InvalidEventError if a body was not seen in some frame. All except ``unsettled``,
+which is about all bodies, raise an InvalidSettingError if the world has no such pair of agents.
 """
 
 from __future__ import annotations
@@ -46,19 +46,20 @@ _WHAT: Final = "a cue"  # in errors
 
 
 def distance(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return the log of the mean distance between the agents' centres over 5 units."""
+    """Return log(d / 5 units) of the mean distance d between the two agents' centres."""
     return float(np.log(max(_apart(scene, observation, pair).mean(), 1e-3) / _NEAR))
 
 
 def contact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return the share of frames in which the agents' broad sides could touch."""
+    """Return the share of frames in which the two agents are near enough to touch."""
     return float(_touch(scene, observation, pair).mean())
 
 
 def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return the share of frames in which an agent is at an item that moves.
+    """Return how much the two agents move the same item, from 0 to 1; 0 without items.
 
-    It is the geometric mean of both agents, for the item with the larger value; 0 without items.
+    For each item, it is the geometric mean, over the two agents, of the share of frames in which
+    the item moves and the agent is at it. The largest value of all items counts.
     """
     trajectory, n = _seen(scene, observation, pair), len(scene.world.agents)
     agents, items = trajectory[:, pair, None, :2], trajectory[:, None, n:, :2]
@@ -70,27 +71,33 @@ def working(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> floa
 
 
 def impact(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return the largest approach within three frames before a contact begins, over 5 units."""
+    """Return how hard the two agents meet: by how far they approach before a contact, over 5 units.
+
+    It is the largest approach within the three frames before a contact begins; 0 without contact.
+    """
     apart, touch = _apart(scene, observation, pair), _touch(scene, observation, pair)
     begins = np.flatnonzero(touch[1:] & ~touch[:-1]).tolist()
     return float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0)) / _NEAR
 
 
 def holding(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return 1 if both agents hold the same item at some time, else 0."""
+    """Return 1 if the two agents hold the same item at some time, else 0."""
     n = len(scene.world.agents)
     one, other = items_held(_seen(scene, observation, pair), scene.radius, n_agents=n)[:, pair].T
     return float(((one != NOTHING) & (one == other)).any())
 
 
 def unsettled(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return 1 if something still moves at the end, so that the video was not cut at rest."""
+    """Return 1 if a body still moves in the last five frames of the video, else 0."""
     last = last_motion(observation.whole(_WHAT).trajectory)
     return float(last > 0 and observation.n_frames - 1 - last < TAIL)
 
 
 def synchrony(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> float:
-    """Return the mean cosine between the agents' motions, 0 in frames in which one rests."""
+    """Return the mean cosine of the angle between the two agents' motions, from -1 to 1.
+
+    Frames in which an agent rests count 0.
+    """
     steps = np.diff(_seen(scene, observation, pair)[:, pair, :2], axis=0)
     speeds = np.linalg.norm(steps, axis=2)
     cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
@@ -100,11 +107,11 @@ def synchrony(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> fl
 CUES: Final[dict[str, Callable[..., float]]] = {
     cue.__name__: cue for cue in (distance, contact, working, impact, holding, unsettled, synchrony)
 }
-"""All cues, by name."""
+"""Name -> cue."""
 
 
 def surface(scene: Scene, observation: Observation, pair: Pair = (0, 1)) -> dict[str, float]:
-    """Return all cues of a video, by name."""
+    """Return name -> value of each cue of a video; ``pair`` are the indices of two agents."""
     return {name: cue(scene, observation, pair) for name, cue in CUES.items()}
 
 

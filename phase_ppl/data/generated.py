@@ -56,17 +56,20 @@ class _Manifest(msgspec.Struct):
 
 
 class GeneratedEvents(Printed, Sequence[Event]):
-    """The events of a generated data set, with its manifest; each is checked when asked for.
+    """The events of a generated data set: a sequence that reads an event when it is asked for.
 
-    Slices and splits are of the same kind.
+    A slice or split of it is a ``GeneratedEvents`` too.
 
     Args:
-        path: the folder.
-        turning: "both", "ccw" or "cw" instead of what is stored.
+        path: the folder of the data set.
+        turning: which way agents can turn by themselves, "both", "ccw" (counter-clockwise) or "cw",
+            in place of the stored values.
 
     Attributes:
-        manifest: of the whole set.
-        entries: how each of these events was made, in their order.
+        path: the folder of the data set.
+        manifest: how the whole set was made: ``plan`` (the settings), ``versions``, and by kind of
+            event the draws ``kept`` and ``rejected``.
+        entries: (event,) how each event was made: its ``id``, ``split``, ``checksum`` and more.
 
     Raises:
         InvalidEventError: the folder holds no finished data set, or a file is damaged. A damaged
@@ -85,7 +88,7 @@ class GeneratedEvents(Printed, Sequence[Event]):
             )
 
     def __str__(self) -> str:
-        """How many draws of each kind were kept, and why the others were rejected."""
+        """How many draws of each kind of event were kept, and why other draws were rejected."""
         lines = []
         for cell, kept in self.manifest["kept"].items():
             refused = self.manifest["rejected"][cell]
@@ -129,11 +132,7 @@ class GeneratedEvents(Printed, Sequence[Event]):
         return found
 
     def split(self, name: str) -> Self:
-        """Return the events of a split, such as "train".
-
-        Raises:
-            InvalidEventError: the split has no events.
-        """
+        """Return the events of a split, such as "train" (InvalidEventError: it has no events)."""
         splits = [entry["split"] for entry in self.entries]
         if name not in splits:
             raise InvalidEventError(f"no events in split {name!r}; there are {sorted({*splits})}")

@@ -40,7 +40,7 @@ _JSON: Final = ".json"
 
 
 def bundled_events() -> list[str]:
-    """Return the names of the bundled events, sorted."""
+    """Return the names of the events that come with the package, sorted."""
     names = (file.name for file in _folder().iterdir())
     return sorted(name.removesuffix(_JSON) for name in names if name.endswith(_JSON))
 
@@ -57,20 +57,21 @@ def load_event(
     video: str | None = None,
     turning: Turning | None = None,
 ) -> Event:
-    """Read one event.
+    """Return an event, read from a file or bundled with the package.
 
     Args:
-        path: an event file, or the name of a bundled event. The file is recognised by its content:
-            JSON (:mod:`phase_ppl.data.events_json`) or a pickle of PHASE's authors
+        path: an event file, or the name of a bundled event, with or without ".json". If there is a
+            file of that name too, the file is read. A file is recognised by its content: JSON
+            (:mod:`phase_ppl.data.events_json`) or a pickle of PHASE's authors
             (:mod:`phase_ppl.data.authors`). Only plain data are read from a pickle; its code is not
-            run. The name may have ".json" at its end. A file of that name comes first.
+            run.
         video: id of the wanted event; required if the file holds several.
-        turning: which way agents can turn, in place of the file's value: "both", "ccw"
-            (counter-clockwise) or "cw".
+        turning: which way agents can turn by themselves, in place of the file's value: "both",
+            "ccw" (counter-clockwise) or "cw".
 
     Raises:
         InvalidEventError: the file cannot be read as an event; the message names file and value.
-        UnknownNameError: the file holds no event ``video``; the message names close matches.
+        UnknownNameError: the file holds no event ``video``, or ``turning`` is unknown.
         InvalidSettingError: the file holds several events and ``video`` is not given.
     """
     _check_turning(turning)
@@ -87,16 +88,17 @@ def load_event(
 
 
 def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Event]:
-    """Read all events of a file, in the order of the file, or of a generated data set.
+    """Return all events of a file, in the file's order, or of a generated data set.
 
     Args:
-        path: as for :func:`load_event`, or the folder of a generated data set. That gives
-            :class:`~phase_ppl.data.generated.GeneratedEvents`, which reads an event when it is
-            asked for.
-        turning: as for :func:`load_event`.
+        path: an event file or the name of a bundled event (:func:`load_event`), or the folder of a
+            generated data set. A folder gives a :class:`phase_ppl.GeneratedEvents`, which reads an
+            event when it is asked for.
+        turning: which way agents can turn by themselves, in place of the files' values.
 
     Raises:
-        InvalidEventError, InvalidSettingError: as for :func:`load_event`.
+        InvalidEventError: the file or folder holds no readable events; the message says which part.
+        UnknownNameError: ``turning`` is unknown.
     """
     _check_turning(turning)
     folder = as_path(path)
@@ -166,13 +168,14 @@ def _check_turning(turning: str | None) -> None:
 
 
 def save_event(event: Event, path: PathLike) -> None:
-    """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
+    """Write ``event`` to a ".json" file, from which :func:`load_event` reads it.
 
     Judgments and predictions come back as JSON has them: tuples as lists, and keys as strings.
+    Thoughts of simulated agents are not written.
 
     Args:
         event: the event.
-        path: of the file, which ends in ".json". An existing file is replaced.
+        path: the file, ending in ".json". An existing file is replaced.
 
     Raises:
         OutputError: the file cannot be written.
@@ -183,11 +186,12 @@ def save_event(event: Event, path: PathLike) -> None:
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
-    """Write several events to a ".json" file; :func:`load_events` gives them back.
+    """Write several events to the ".json" file ``path``, from which :func:`load_events` reads them.
 
     Raises:
         OutputError: the file cannot be written.
-        InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
+        InvalidEventError: there are no events, two have the same id, or :func:`save_event` refuses
+            one.
     """
     instance_of("events", events, Sequence, "a list of events")
     events = list(events)
@@ -208,10 +212,10 @@ def _write(path: PathLike, content: Callable[[], bytes]) -> None:
 def event_dataset(event: Event) -> xr.Dataset:
     """Return an event's arrays as a Dataset, with names along its dimensions.
 
-    ``trajectory`` (time, entity, coord), ``radius`` (entity), ``walls`` (wall, end, xy),
-    ``landmark_centres`` (landmark, xy) and ``landmark_half_width`` (landmark) are in units of
-    length, angles in radians, ``time`` in seconds simulated. Attributes are ``event``, its id, and
-    ``truth`` as JSON.
+    Variables are ``trajectory`` (time, entity, coord), ``radius`` (entity,), ``walls`` (wall, end,
+    xy), ``landmark_centres`` (landmark, xy) and ``landmark_half_width`` (landmark,). Lengths are in
+    units, angles in rad, times in simulated seconds. The Dataset's attributes are ``event``, the
+    event's id, and ``truth``, if known, as JSON.
     """
     import xarray as xr
 

@@ -97,16 +97,19 @@ def items_held(
     within: float = HELD_WITHIN,
     n_agents: int = len(AGENTS),
 ) -> NDArray[np.int64]:
-    """Return (time, agent): the index of the item that the agent seems to hold, or -1.
-
-    ``trajectory`` is (time, entity, coord) x, y [units], angle [rad], ``radius`` (entity,) sizes
-    [units]. The first entities are agents, the others items.
+    """Return the index of the entity that each agent seems to hold, (time, agent); -1: nothing.
 
     A held item is fixed in front of, behind or beside its holder; the two shapes touch at a grab
-    point. An item within ``within`` units of that place for three frames counts as held; of two
-    items, the nearer one. Items pushed dead centre, or left where they were let go of, are wrongly
-    counted; items held for a moment are missed. In simulated events, the share of time has an error
-    of some 0.015.
+    point. An item that is near that place for three frames counts as held. If there are two, the
+    nearer one counts. An item that is pushed dead centre, or lies where it was let go of, counts
+    wrongly; an item held for a moment is missed. In simulated events, the share of time in which an
+    agent holds an item has an error of some 0.015.
+
+    Args:
+        trajectory: (time, entity, coord) x, y [units], angle [rad]; agents first, then items.
+        radius: (entity,) sizes R, units.
+        within: largest distance between a held item and its place, units. Default: 0.05.
+        n_agents: number of entities that are agents.
     """
     n_items = trajectory.shape[1] - n_agents
     if not n_items:
@@ -188,10 +191,13 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
 
 
 def observed_turning(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> Turning:
-    """Return "ccw" or "cw" if the agents of PHASE clearly turn one way only, else "both".
+    """Return "ccw" or "cw" if the two agents of PHASE clearly turn one way only, else "both".
 
-    At least 3 turns must be seen, 80 % of them the same way. ``trajectory`` is (time, entity,
-    coord) x, y [units], angle [rad]; ``radius`` is (entity,) sizes [units].
+    "ccw" is counter-clockwise. At least 3 turns must be seen, 80 % of them one way.
+
+    Args:
+        trajectory: (time, entity, coord) x, y [units], angle [rad]; agents first.
+        radius: (entity,) sizes R, units.
     """
     counter_clockwise, clockwise = count_turns(trajectory, radius)
     total = counter_clockwise + clockwise

@@ -73,32 +73,37 @@ def shares(quantity: str) -> dict[str, float]:
 
 
 def statistics(events: Sequence[Event]) -> pd.DataFrame:
-    """Return the contents and motion of a set of events, beside those of PHASE.
+    """Return a table of the contents and the motion of a set of events, beside PHASE's events.
 
-    Counts are of ``relation``, ``scenario`` (except in PHASE, of every pair of agents),
-    ``goal_type``, ``goal``, ``strength`` [N], ``agent_size`` and ``item_size`` [units]. A generated
-    set also has ``family``, ``layout``, ``reflection`` and ``split``.
+    These quantities are counted: ``relation`` and ``scenario`` (of the two agents in PHASE, of
+    every pair of agents in other worlds), ``goal_type``, ``goal``, ``strength`` [N], ``agent_size``
+    and ``item_size`` [units]. A generated set also has ``family``, ``layout``, ``reflection`` and
+    ``split``.
 
-    Figures are ``frames``; ``speed`` of agents [units/s simulated], and ``speed_150`` and so on by
-    strength; ``step`` of agents [units per frame]. Shares of time are ``agent_rests`` (slower than
-    0.5 units/s), ``agent_holds`` (an item, inferred from places) and ``item_moves``; a share of
-    events is ``moves_to_the_end``. Quantities without data are left out.
+    These quantities are figures: ``frames``, the length of an event; ``speed`` of agents
+    [units per simulated s], also by strength (``speed_150`` and so on); ``step``, the way of an
+    agent in a frame [units]. Shares of time are ``agent_rests`` (slower than 0.5 units/s),
+    ``agent_holds`` (an item, inferred from places) and ``item_moves``. ``moves_to_the_end`` is a
+    share of events. Quantities without data are left out.
 
     Args:
-        events: of one world; those without truth count where none is needed.
+        events: events of one world. Events without truth count where no truth is needed.
 
     Returns:
-        A row for each ``quantity`` and ``label``, its index. ``count`` is missing for figures.
-        ``value`` is the share or the figure. ``error`` is the standard error over events without
-        their copies; NaN for extremes and single events. ``phase`` is the value of the original
-        events; NaN if unknown. ``attrs`` has the numbers of ``events``, ``units`` (without copies),
-        ``without_truth`` (events) and ``without_strength`` (agents).
+        A row for each ``quantity`` and ``label``, the two levels of its index. A label is a counted
+        value, such as "friendly", or what was computed of a figure, such as "mean". Columns are
+        ``count``, missing for figures; ``value``, the share of the label or the figure; ``error``,
+        the standard error of ``value``, NaN for extremes and single events (an event and its
+        reflected copies count as one); and ``phase``, the value of PHASE's events, NaN if unknown.
+        ``attrs`` has the number of ``events``, of ``units`` (events without copies), of events
+        ``without_truth`` and of agents ``without_strength``.
 
     Example:
         ``ppl.statistics(one).join(ppl.statistics(other)["value"].rename("other"))``
 
     Raises:
-        InvalidEventError: there are no events, or they are of several worlds.
+        InvalidEventError: there are no events, they are of several worlds, or one has a body that
+            was not seen in some frame.
     """
     if not events:
         raise InvalidEventError("there are no events to describe")

@@ -196,10 +196,10 @@ def _entry_of(label: str | None, spec: Spec, chains: int, settings: SimpleSettin
 
 
 class ComparisonInterrupted(KeyboardInterrupt):
-    """The comparison was interrupted; the runs that were finished are kept.
+    """Ctrl-C in :func:`phase_ppl.compare`: a ``KeyboardInterrupt``.
 
     Attributes:
-        comparison: comparison of the finished runs; None where there are none.
+        comparison: comparison of the finished runs; None if no run was finished.
     """
 
     def __init__(self, comparison: Comparison | None) -> None:
@@ -227,53 +227,53 @@ def compare(
 ) -> Comparison:
     """Return a comparison of kernels on one event under the same budget.
 
-    Repeat r of every kernel runs with the same seed. So two comparisons of equal settings share
-    their first repeats. If one kernel cannot run, the call fails before the first simulation.
+    Repeat r of every kernel has the same seed, whatever the number of repeats. So two comparisons
+    of equal settings share their first repeats. If one kernel cannot run, the call fails before the
+    first simulation.
 
     Args:
-        event: event to explain. Its truth, if known, is used to score the results. Also a result of
-            the closed loop, as in ``compare(infer(event), kernels=[...])``. Kernels then sample its
-            table of likelihoods. That table's posterior is known exactly, and ten thousand draws
-            take seconds. A model with a ``StepwiseLikelihood`` has the same effect: the video is
-            read once, for all kernels and repeats.
+        event: the event to explain; its truth, if known, is used to score the kernels. Or a result
+            of the closed loop, as in ``compare(infer(event), kernels=[...])``: kernels then sample
+            its table of likelihoods. That table's posterior is known exactly, and ten thousand
+            draws take seconds. A model with a ``StepwiseLikelihood`` has the same effect: the video
+            is read once, for all kernels and repeats.
         model: prior, simulator and likelihood; by default the paper's.
-        kernels: kernels to compare, or label -> kernel. Each is a name, a kernel class, a function
-            that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of that and
-            its options, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``. Options are the
-            kernel's own, ``chains`` and ``settings``. A preset keeps its planner. All
-            kernels with bottom-up proposals use those of ``settings``, unless an option of a kernel
-            names others.
-            The column ``proposals`` of the printed table names them.
+        kernels: kernels to compare, a list or label -> kernel. Each is a name, a kernel class, a
+            function that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of
+            one of these and its options, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``.
+            Options are the kernel's own, ``chains`` and ``settings``. A preset keeps its planner.
+            Bottom-up proposals follow ``settings``, or the settings among a kernel's options; the
+            column ``proposals`` of the printed table names them.
         budget: limit for each run: ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``, the
-            initial ones included; or ``phase_ppl.seconds(t)``, compiling included. The last
+            initial particles included; or ``phase_ppl.seconds(t)``, compiling included. The last
             iteration may exceed it. Default: 500 simulations.
         repeats: number of runs of every kernel. Default: 8.
         chains: number of particles, M in the paper. Default: 15.
-        seed: a whole number >= 0.
-        reference: what results are compared with: a posterior of the same event and model;
+        seed: a whole number >= 0, from which the seeds of all runs follow.
+        reference: what kernels are compared with: a posterior of the same event and model;
             "enumeration" (:mod:`phase_ppl.inference.reference`), with 4 simulations per pair of
             goals, or as many as ``("enumeration", {"per_pair": 16})`` says; or "none". The default
-            for a result of the closed loop is its exact posterior; else enumeration if ten times
-            the budget suffices; else none. The printed result has the
-            distance between two halves of the reference. Smaller differences between kernels are
-            not ranked.
-        settings: settings of SIMPLE; by default those of the preset "simple", as in
-            :func:`phase_ppl.infer`. If proposals need a reading of the video, each run is charged
-            its time, even if the video was read before.
+            for a result of the closed loop is its exact posterior. Otherwise it is enumeration if
+            ten times the budget suffices for that, else none. The printed comparison has the
+            distance between two halves of the reference. Kernels that differ by less are not
+            ranked.
+        settings: settings of SIMPLE; by default those of the preset "simple". If proposals need a
+            reading of the video, each run is charged the time of a reading, even if the video was
+            read before.
         workers: number of processes; by default one per usable core. With an ``executor``: how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
-        progress: whether to show a bar on stderr; by default if stderr is a terminal.
+        progress: whether to show a bar on stderr; None: if stderr is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, its runs are not
-            repeated; kernels and repeats may be added. ``Comparison.load`` reads it.
+            repeated; kernels and repeats may be added. ``phase_ppl.Comparison.load`` reads it.
 
     Raises:
-        InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a
-            checkpoint of other settings.
+        InvalidSettingError, UnknownNameError: a setting or kernel cannot be used, or the checkpoint
+            has other settings.
         InvalidEventError: ``event`` is no event, or the checkpoint is damaged.
         SimulationError: all initial simulations of a run failed, or the executor takes no more
             work.
-        ComparisonInterrupted: Ctrl-C; it carries the finished runs.
+        ComparisonInterrupted: Ctrl-C; its attribute ``comparison`` has the finished runs.
     """
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 

@@ -91,10 +91,10 @@ def infer(
     exact answer is known.
 
     A run of fewer than 20 iterations weighs all simulations, accepted or not, if the densities of
-    the kernel's proposals are known, as SIMPLE's are. At its end, untried
-    rivals of the leading goals are simulated too. In a rival, one agent wants the same thing at
-    another landmark. This costs each particle one to three further simulations. It is left out if
-    there is a ``budget``. Rivals count in the posterior, not in the chains.
+    the kernel's proposals are known, as SIMPLE's are. At its end, rivals of the leading goals are
+    simulated, unless they were before. A rival is a hypothesis in which one agent wants the same
+    thing at another landmark. Rivals count in the posterior, not in the chains. They cost each
+    particle one to three further simulations, and are left out if there is a ``budget``.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
     depend on ``seed``, not on the number of workers.
@@ -105,53 +105,53 @@ def infer(
       likelihood is a third lower.
     * "retry": the simulation is repeated with other seeds, up to three times, then rejected. The
       likelihood is that of successful runs, so failures hardly cost a hypothesis anything.
-    * "raise": the run ends with the error, which carries the results so far.
+    * "raise": the run ends with the error.
 
     Args:
-        event: event to explain, or the name of a file or of a bundled event. With a kernel, also a
-            result of the closed loop.
+        event: the event to explain, or the name of an event file or of a bundled event. With a
+            kernel, also a result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
-        kernel: how to sample. A name (:func:`phase_ppl.available_kernels`), a kernel class, or a
-            function that takes the event's program and returns a NumPyro kernel. Default: None,
-            the closed loop.
+        kernel: how to sample: a name of :func:`phase_ppl.available_kernels`, a kernel class, or a
+            function that takes the event's :class:`phase_ppl.EventProgram` and returns a NumPyro
+            kernel. None: the closed loop reads the video.
         chains: number of particles, M in the paper; each is a chain. Default: 15.
-        iterations: draws per particle, L in the paper. Default: 6, or 1000 on a result of the
-            closed loop.
-        seed: a whole number >= 0.
-        planner: planner of the package's own simulator: "fast" (the default), "paper" or a
-            ``PlannerConfig``.
+        iterations: number of draws per particle, L in the paper. Default: 6, or 1000 on a result of
+            the closed loop.
+        seed: a whole number >= 0, the seed of everything random.
+        planner: settings of the package's own planner: "fast" (the default), "paper", another name
+            of :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``.
         workers: number of processes, or of the closed loop's threads; by default one per usable
             core. With an ``executor``: how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
             client. It is not shut down.
-        budget: limit on the cost, in place of ``iterations``. ``phase_ppl.simulations(n)``: new
-            iterations begin until n simulations were run, the initial ones included.
-            ``phase_ppl.frames(n)``: the same for simulated frames. Both may be exceeded by the last
-            iteration, and both end after 100 iterations in a row without a simulation.
-            ``phase_ppl.seconds(n)``: an iteration begins only if it is expected to end within n
-            seconds of wall time. The initial particles come first in any case.
+        budget: limit on the cost, in place of ``iterations``: ``phase_ppl.simulations(n)``,
+            ``phase_ppl.frames(n)`` or ``phase_ppl.seconds(n)``. The initial particles count, and
+            are simulated in any case. The last iteration may exceed a budget of simulations or
+            frames; such a run also ends after 100 iterations in a row without a simulation.
         on_failure: "reject", "raise" or "retry", see above.
         simulation_seconds: seconds after which a simulation fails; by default never. With a budget
             of seconds, no initial simulation may take longer than the budget.
-        checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial
-            particles and after every iteration. It must not exist yet.
-        progress: whether to show a bar on stderr; by default if stderr is a terminal.
+        checkpoint: new file, ending in .ckpt, for :func:`phase_ppl.resume`. It is written after the
+            initial particles and after every iteration. It must not exist yet.
+        progress: whether to show a bar on stderr; None: if stderr is a terminal.
         settings: settings of SIMPLE; by default those of the preset "simple".
-        weights: weighting of the draws, "count" or "stratified" (``phase_ppl.analysis.weights``);
-            by default the one that is valid for the kernel and the length. In chains of twenty or
-            more draws the first quarter is burn-in: it is kept and does not count.
-            ``Posterior(post.tree, burn_in=0)`` counts it.
+        weights: "count": the chains' draws count, alike or by the kernel's own weights.
+            "stratified": all simulations count, accepted or not (see the glossary). Default: the
+            one that is valid for the kernel and the length. In chains of twenty or more draws the
+            first quarter is burn-in: it is kept and does not count. ``Posterior(post.tree,
+            burn_in=0)`` counts it.
         **kernel_options: options of the kernel, such as ``rule="paper"``.
 
     Raises:
-        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+        InvalidSettingError, UnknownNameError: a setting cannot be used.
         InvalidEventError: ``event`` is no event, or cannot be read.
         OutputError: the checkpoint exists, or cannot be written.
-        SimulationError: all initial simulations failed; or one failed, with "raise".
-        Interrupted, StepwiseInterrupted: Ctrl-C.
+        SimulationError: all initial simulations failed; or, with "raise", one simulation failed.
+        Interrupted: Ctrl-C while a kernel samples.
+        StepwiseInterrupted: Ctrl-C while the closed loop reads.
 
-    Any error that ends a run has the results so far as its attribute ``posterior``. That is None
-    if the initial particles were not complete.
+    Any error that ends a run has the posterior so far as its attribute ``posterior``. It is None if
+    the initial particles were not complete.
     """
     options: dict[str, Any] = {
         "iterations": iterations,
@@ -246,30 +246,34 @@ def resume(
 ) -> Posterior:
     """Continue a run from the checkpoint of ``infer(..., checkpoint=path)``; return its posterior.
 
-    The result equals an uninterrupted run, draw for draw, with any number of workers. The file is
-    kept up to date. A complete run returns its posterior at once; a larger number of iterations
-    extends it.
+    The draws equal those of an uninterrupted run, with any number of workers. The checkpoint is
+    kept up to date. The posterior of a complete run is returned at once; a larger number of
+    ``iterations`` extends the run.
 
-    Other versions of this package or its dependencies could change the result. They are refused
-    unless ``other_versions`` is true.
+    A checkpoint that another version of this package or its dependencies wrote is refused unless
+    ``other_versions`` is true: the result could change.
 
     Args:
         path: the checkpoint's file.
         event: the event, to check that the run is about it. Optional: the file holds the event.
-        model: needed if its prior, simulator or likelihood is your own: a file holds no code.
-        kernel: needed if it was not given by name.
-        iterations, budget: of the whole run, including what was done before; by default as before.
-        planner: as in :func:`infer`, if ``model`` is given.
-        workers, executor, progress: as in :func:`infer`.
-        other_versions: whether to continue with other versions. The attributes ``versions`` and
-            ``earlier_versions`` of the posterior's tree keep both.
-        settings, **kernel_options: needed unless they are numbers, strings and the like.
+        model: the run's model; needed if its prior, simulator or likelihood is your own, since a
+            file holds no code.
+        kernel: the run's kernel; needed if it was not given by name.
+        iterations, budget: length of the whole run, including what was done before; by default the
+            length that was asked for before.
+        planner: the run's planner, if it is not in ``model``.
+        workers, executor, progress: as in :func:`phase_ppl.infer`.
+        other_versions: whether to continue a run of other versions. The attributes ``versions`` and
+            ``earlier_versions`` of the posterior's tree keep all versions.
+        settings, **kernel_options: the run's settings of SIMPLE and options of the kernel; needed
+            if they have values other than plain data, such as functions.
 
     Raises:
-        InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: event, model, kernel or version differs from the run's, and the message
-            says how; or one of them must be given; or a setting cannot be used.
-        OutputError, SimulationError, Interrupted: as in :func:`infer`.
+        InvalidEventError: there is no such file, or it is damaged or no checkpoint.
+        InvalidSettingError: event, model, kernel or version differs from the run's (the message
+            says how), one of them must be given, or a setting cannot be used.
+        OutputError: the checkpoint cannot be written.
+        SimulationError, Interrupted: as in :func:`phase_ppl.infer`.
     """
     from phase_ppl.inference import run as runs
     from phase_ppl.inference.checkpoint import SUFFIXES, Checkpoint

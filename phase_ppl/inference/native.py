@@ -37,11 +37,11 @@ _FRAME_BYTES: Final = 4 * 3 * 4 + 4  # a frame of a draw, of four entities, and 
 
 
 class OpenProgram(EventProgram):
-    """The model of an event as a NumPyro program, with workers of its own; :func:`program`.
+    """The model of an event as a NumPyro program, with workers that simulate; see :func:`program`.
 
     Attributes:
-        event: what is explained.
-        settings: of SIMPLE, for kernels that propose from windows.
+        event: the event.
+        settings: settings of SIMPLE, for kernels that propose from windows of the video.
     """
 
     def __init__(self, event: Event, model: Model, settings: SimpleSettings, runner: Any) -> None:
@@ -76,7 +76,7 @@ class OpenProgram(EventProgram):
 
     @property
     def records(self) -> list[Record]:
-        """All simulations so far."""
+        """One record for each simulation so far: sites, errors and more."""
         return self._bridge.records
 
     @functools.cached_property
@@ -95,7 +95,10 @@ class OpenProgram(EventProgram):
         return super().simulate(*args, **options)
 
     def draws(self, mcmc: Any) -> xr.DataTree:
-        """Return the tree of draws of a run of NumPyro's ``MCMC`` on this program."""
+        """Return the draws of a run of NumPyro's ``MCMC`` on this program, as a posterior's tree.
+
+        ``Posterior.from_numpyro(mcmc)`` calls it.
+        """
         columns = self._columns(mcmc)
         chains, n = columns[SEED_SITE].shape
         n_frames = self.n_frames
@@ -197,23 +200,27 @@ def program(
     ...     mcmc.run(random.key(0))
     >>> post = ppl.Posterior.from_numpyro(mcmc)
 
-    ``program()`` samples the simulator's seed and the prior's sites, simulates by
+    Calling the returned program samples the simulator's seed and the prior's sites, simulates by
     ``jax.pure_callback``, and adds the log likelihood as a ``numpyro.factor``. Vectorised chains
     simulate together.
 
-    The seed is a site of the chain's state. So the same point always has the same likelihood
-    (pseudo-marginal). With ``Model(noise="fixed")`` the seed follows from the hypothesis.
+    The simulator's seed is a sample site, ``sim_seed``. So the same hypothesis and seed always have
+    the same likelihood (pseudo-marginal). With ``Model(noise="fixed")`` the seed follows from the
+    hypothesis, and is a deterministic site.
 
     JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 
     Args:
         event: the event, not a file's name.
-        model, workers, executor, on_failure, simulation_seconds: as in :func:`phase_ppl.infer`.
+        model: prior, simulator and likelihood; by default the paper's. A model with the closed
+            loop's likelihood (``StepwiseLikelihood``) is refused, since it simulates nothing.
         settings: settings of SIMPLE, for kernels that propose from windows of the video; by default
             those of the preset "simple".
+        workers, executor, on_failure, simulation_seconds: as in :func:`phase_ppl.infer`.
 
     Raises:
-        InvalidEventError, InvalidSettingError, UnknownNameError: as in :func:`phase_ppl.infer`.
+        InvalidEventError: ``event`` is no event.
+        InvalidSettingError, UnknownNameError: a setting cannot be used.
     """
     check_event(event)
     model = Model() if model is None else model

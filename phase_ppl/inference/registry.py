@@ -46,31 +46,30 @@ Factory = Callable[..., MCMCKernel]
 
 @dataclasses.dataclass(frozen=True)
 class KernelInfo:
-    """Registered facts about a kernel, known without running it."""
+    """Registered facts about a kernel, known without running it.
 
-    name: str  # as users call it
-    factory: Factory  # makes the kernel from an ``EventProgram``
-    # "exact": its stationary law is the posterior; "consistent": it approaches the posterior as
-    # particles grow; "approximate": neither; "unknown" where nobody says
+    Attributes:
+        name: name of the kernel, for ``infer(..., kernel=name)``.
+        factory: class or function that makes the kernel, see :func:`phase_ppl.register_kernel`.
+        validity, sims_per_step, needs, keeps, weighted, any_length: the arguments of
+            :func:`phase_ppl.register_kernel`; ``validity`` is "unknown" without registration.
+        summary: first line of the factory's docstring.
+        adapts: whether the kernel's proposal is fitted to its earlier draws.
+    """
+
+    name: str
+    factory: Factory
     validity: str
-    # the most simulations per particle and step; bars and budgets of seconds start from it. Budgets
-    # count simulations that were run
     sims_per_step: int
-    needs: tuple[str, ...]  # keyword arguments that the factory asks for, of ``NEEDS``
-    summary: str  # first line of the factory's documentation
-    # particles that are draws of the posterior: "all", after every iteration; "last", after the
-    # last one; "start", all and the initial ones
+    needs: tuple[str, ...]
+    summary: str
     keeps: Keeps = "all"
-    weighted: bool = False  # whether draws carry a weight, the state's ``log_weight``
-    # whether arrays of frames may be longer than the observation. One compiled program then serves
-    # events of all lengths. The number of frames is ``program.observed``, known only at run time,
-    # instead of ``program.n_frames``
+    weighted: bool = False
     any_length: bool = False
-    # whether its proposal is fitted to the draws so far, an attribute of the class AMIS
     adapts: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
-        """Return the kernel for an event; ``options`` are its needs and its own options."""
+        """Return the kernel for an event's program; ``options`` are further arguments of it."""
         registered = self.validity in VALIDITIES  # then its needs are known
         for need in NEEDS:
             if registered and (need in options) != (need in self.needs):
@@ -96,7 +95,7 @@ class KernelInfo:
 
     @property
     def options(self) -> tuple[str, ...] | None:
-        """Names of the options that the factory takes; None: any."""
+        """Names of the factory's arguments besides program and needs; None: it takes any name."""
         _, *given = inspect.signature(self.factory).parameters.values()
         if any(one.kind is one.VAR_KEYWORD for one in given):
             return None
@@ -134,9 +133,27 @@ def register_kernel(
     weighted: bool = False,
     any_length: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
-    """Return a decorator that registers a kernel class, or a factory, as ``name``.
+    """Return a decorator that registers a factory, a class or function that makes a kernel.
 
-    Arguments are attributes of :class:`KernelInfo`.
+    ``factory(program, **needs, **options)`` takes a :class:`phase_ppl.EventProgram` and returns an
+    ``MCMCKernel`` of NumPyro. What the kernel's state must have is said in
+    :mod:`phase_ppl.inference.registry`.
+
+    Args:
+        name: name of the kernel, for ``infer(..., kernel=name)``.
+        validity: "exact": the kernel's stationary distribution is the posterior. "consistent": the
+            draws approach the posterior as the number of particles grows. "approximate": neither.
+        sims_per_step: largest number of simulations per particle and iteration. Progress bars and
+            budgets of seconds begin with it; other budgets count simulations that were run.
+        needs: keyword arguments that the factory needs: some of "guide", the bottom-up proposal
+            program ``guide(window)``, and "settings", the ``SimpleSettings``.
+        keeps: particles that are draws of the posterior: "all": those after every iteration;
+            "last": those after the last iteration; "start": those after every iteration, and the
+            initial ones.
+        weighted: whether draws have a weight, ``log_weight`` of the kernel's state.
+        any_length: whether arrays of frames may be longer than the observation: the kernel takes
+            the number of frames from ``program.observed``, known only at run time, not from
+            ``program.n_frames``. One compiled program then serves events of all lengths.
 
     Raises:
         InvalidSettingError: the name is taken by another factory, or a value is not allowed.
@@ -159,12 +176,12 @@ def register_kernel(
 
 
 def available_kernels() -> list[str]:
-    """Return the names of all kernels, sorted."""
+    """Return the names of all registered kernels, sorted."""
     return KERNELS.names()
 
 
 def kernel_info(name: str) -> KernelInfo:
-    """Return the facts about a kernel.
+    """Return the ``KernelInfo`` of a kernel: its validity, needs, options and more.
 
     Raises:
         UnknownNameError: there is no such kernel; the message names close matches.

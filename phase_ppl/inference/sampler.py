@@ -83,13 +83,13 @@ Result = TypeVar("Result")
 
 
 class Interrupted(KeyboardInterrupt):
-    """The run was interrupted; finished iterations are kept.
+    """Ctrl-C in a run that samples. Finished iterations are kept.
 
-    A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
+    It is a ``KeyboardInterrupt``, so no ``except Exception`` in a loop over events swallows it.
 
     Attributes:
-        posterior: of the finished iterations, else of the initial particles; None if these were
-            not complete.
+        posterior: posterior from the finished iterations or, if there are none, from the initial
+            particles; None if the initial particles were not complete.
     """
 
     def __init__(self, posterior: Posterior | None) -> None:

@@ -36,28 +36,33 @@ FORMS: Final = get_args(Form)
 class SimpleSettings:
     """Settings of SIMPLE; the numbers are the paper's (Appendix 4).
 
+    SIMPLE proposes the next hypothesis from a window, a short interval of the video.
+
     Attributes:
-        eta: weight of the errors in the choice of a window, 1 / units.
-        proposal: proposal of goals. "learned": features of what the agents did, with weights
-            learned in PHASE. "paper": distances alone, with ``gamma``, ``unit`` and ``sign``.
-            "closed_loop": the closed loop's reading of a window; it reads the video once before
-            the first simulation. None: "learned" in PHASE, "paper" in other worlds.
+        eta: how strongly windows in which the simulation has large errors are preferred, 1 / units.
+        proposal: how goals are proposed. "learned": from features of what the agents did, with
+            weights learned in PHASE. "paper": from distances alone, with ``gamma``, ``unit`` and
+            ``sign``. "closed_loop": from the closed loop's likelihoods of the window's frames; the
+            closed loop reads the video once before the first simulation. None: "learned" in PHASE,
+            "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
-        window: Delta T, steps; shorter if the observation is shorter.
-        beta: replaces the beta of the model's radial likelihood, 1 / units; None: keep the
-            model's, by default the paper's 0.05.
+        window: length of a window, Delta T, in steps (frames); shorter if the video is shorter.
+        beta: beta of the radial likelihood, 1 / units, in place of the model's. None: the model's,
+            by default the paper's 0.05.
         unit: divisor of distances in the paper's proposal. "arena": the arena's diagonal.
             "printed": none, so that goals other than the nearest are hardly ever proposed.
-        prior_share: weight of the prior in the proposal. 0, as printed, is for ``rule="paper"``
-            only: what a window excludes, such as strengths beyond 150 to 600 N, is never tried.
-        sign: "intended": goals that are close are proposed; "printed": the paper's formula.
-        strength: estimator of the proposal's strengths: a name of
-            :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: the
-            network, trained in PHASE; in other worlds the analytic rule.
+        prior_share: share of proposals that are drawn from the prior. With 0, as printed, a
+            hypothesis that the windows exclude, such as a strength beyond 150 to 600 N, is never
+            tried. So 0 is for ``rule="paper"`` only.
+        sign: sign of the distances in the paper's proposal. "intended": goals that are close are
+            proposed. "printed": the paper's formula, which proposes goals that are far.
+        strength: how strengths are proposed: a name of
+            :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: "network",
+            trained in PHASE; in other worlds "analytic".
 
     Raises:
-        InvalidSettingError: a value is out of range.
-        UnknownNameError: an unknown proposal, sign or estimator.
+        InvalidSettingError: a value is out of range, or goes with another proposal.
+        UnknownNameError: ``proposal``, ``unit``, ``sign`` or ``strength`` is unknown.
     """
 
     eta: float = 0.1
@@ -93,10 +98,10 @@ class SimpleSettings:
             strength_estimator(self.strength)
 
     def settled(self, world: World) -> SimpleSettings:
-        """Return the settings with each None replaced by its value for a world.
+        """Return the settings with the None of proposal and strength replaced by a world's values.
 
         Raises:
-            InvalidSettingError: a part learned in PHASE is asked for in another world.
+            InvalidSettingError: the settings name a part learned in PHASE for another world.
         """
         learned = {"proposal": "learned", "strength": "network"}
         usual = learned if world == PHASE else {"proposal": "paper", "strength": "analytic"}
@@ -129,7 +134,7 @@ BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.sec
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """Limit on the cost of a run, in "simulations", "frames" or "seconds"."""
+    """Limit on the cost of a run: ``amount`` of ``unit`` "simulations", "frames" or "seconds"."""
 
     amount: float
     unit: Literal["simulations", "frames", "seconds"]
@@ -155,9 +160,10 @@ def simulations(n: int) -> Budget:
 def frames(n: int) -> Budget:
     """Return a budget of ``n`` simulated frames, those of the initial particles included.
 
-    As :func:`simulations`, but a simulation stopped early counts only its simulated frames. So a
-    kernel that stops simulations early gets more of them. The length of such a run depends on
-    the states of its chains: this biases the mean over runs a little, less the longer they are.
+    Only frames that were simulated count. So a kernel that stops simulations early gets more
+    simulations. An iteration that has begun is finished, as under :func:`simulations`. The number
+    of iterations depends on the states of the chains: this biases the mean over runs a little, less
+    the longer the runs are.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
@@ -169,9 +175,9 @@ def seconds(n: float) -> Budget:
     """Return a budget of ``n`` seconds of wall time, from the start of the call.
 
     The initial particles are always simulated, unless one takes longer than the whole budget. If
-    the closed loop proposes, it reads the video first. An iteration begins only if, judging by the
-    earlier ones, it will end in time. So a run often takes less and rarely more; an iteration is
-    stopped at a tenth over the budget.
+    the closed loop proposes goals, it reads the video first. An iteration begins only if, judging
+    by earlier iterations, it will end in time. So a run often takes less time than the budget and
+    rarely more. An iteration is stopped once the run has taken 1.1 times the budget and a second.
 
     Raises:
         InvalidSettingError: ``n`` is no positive number.
@@ -222,7 +228,7 @@ _OF_ITS_KERNEL: Final = ("kernel", "rule", "weights", "iterations", "chains")
 
 
 def preset(name: str) -> dict[str, Any]:
-    """Return a preset: arguments of :func:`phase_ppl.infer` and of the model "simple".
+    """Return a preset of SIMPLE: arguments of :func:`phase_ppl.infer` and of the model "simple".
 
     >>> ppl.infer(event, **ppl.preset("as_printed"))
     >>> ppl.evaluate(events, "simple", preset="as_intended")

@@ -46,32 +46,37 @@ _COUNTED: Final = ("searches", "calls")  # what it cost
 
 
 class Watch:
-    """An observer of one event, who is given its frames one by one.
+    """The closed loop on one event, whose frames it is given one by one.
 
-    The posterior after a frame depends on the frames so far only. After the last frame it is the
-    one that :func:`phase_ppl.infer` returns. An observer holds threads or processes until
+    The posterior after a frame depends only on the frames so far. After the last frame it is the
+    one that :func:`phase_ppl.infer` returns. A ``Watch`` holds threads or processes until
     ``close()``; as a context manager it closes itself.
 
     Args:
         scene: the start.
         model: prior, and planner or simulator; its likelihood is None or a
-            :class:`phase_ppl.StepwiseLikelihood`. By default the paper's.
-        seed: a whole number >= 0, of the agents' beliefs and searches, or of a simulator's samples.
+            :class:`phase_ppl.StepwiseLikelihood`. Default: the paper's prior and simulator.
+        seed: a whole number >= 0, the seed of the agents' beliefs and searches, or of the samples
+            of a simulator of your own.
         threads: number of searches at a time; by default one per usable core. With a simulator of
-            your own: largest number of processes, which start if a frame takes long. The result
+            your own: largest number of processes, which start if a frame takes long. The posterior
             does not depend on it.
         event_id: name of the event.
-        observation: the whole video, if it is known beforehand; for a prior that looks at it.
-            Frames come one by one all the same.
+        observation: the whole video, if it is known beforehand, for a prior that looks at it.
+            Frames must be given one by one all the same.
+
+    Attributes:
+        model: the model, with its likelihood.
+        threads: number of threads or processes.
 
     Example:
         ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
         ``event.observation.trajectory``, ``post = watch.update(frame)``
 
     Raises:
-        InvalidSettingError: the model has a likelihood that compares whole simulations; a simulator
-            that cannot continue from observed frames; too many hypotheses for the simulator; or a
-            prior that looks at the video, and ``observation`` is not given.
+        InvalidSettingError: the model's likelihood compares whole simulations; its simulator cannot
+            continue from observed frames, or there are too many hypotheses for it; or its prior
+            looks at the video, and ``observation`` is not given.
     """
 
     @on_cpu()
@@ -160,7 +165,7 @@ class Watch:
         self.close()
 
     def close(self) -> None:
-        """End the threads or processes; what was read stays."""
+        """End the threads or processes. The posterior of the frames so far stays available."""
         self._filter.close()
 
     def take(self, frame: ArrayLike, at: float | None = None) -> None:
@@ -168,21 +173,21 @@ class Watch:
 
         Args:
             frame: (entity, [x, y, angle]), units and rad. The first frame is the start; nothing is
-                learnt from it. NaN says that a body was not seen: all its three numbers, or its
-                angle alone. Such a body moves on as the model expects, and nothing is learnt about
-                it. A missing frame is NaN throughout.
+                learnt from it. NaN means that a body was not seen: either all its three numbers are
+                NaN, or its angle alone. An unseen body moves on as the model expects, and nothing
+                is learnt about it. If a frame is missing, give one that is NaN throughout.
             at: the frame's time stamp, simulated seconds; needed unless there are 12 frames per
-                simulated second. Frames are put on that grid as by
-                :meth:`phase_ppl.Observation.at_times`. So a call takes in the frames that are
-                complete by then, perhaps none. All frames have time stamps or none has.
+                simulated second. Frames with time stamps are converted to 12 per second, as by
+                :meth:`phase_ppl.Observation.at_times`. A call then takes in the converted frames
+                that are complete at ``at``, perhaps none. All frames have time stamps or none has.
 
         Raises:
-            InvalidEventError: another shape; an infinite number; a body outside the arena; a body
-                that was not seen, if the simulator has a density of whole frames; or a time stamp
-                that is not later than the last, or is later by more than an hour. What was read
-                before stays, and the next frame can follow.
+            InvalidEventError: the frame has another shape, an infinite number, or a body outside
+                the arena; a body was not seen, and the simulator has a density of whole frames; or
+                the time stamp is not later than the last one, or later by more than an hour. The
+                frames before stay read, and the next frame can follow.
             InvalidSettingError: reading an earlier frame was interrupted, or only some frames have
-                time stamps. What was read before that stays.
+                time stamps. The frames before stay read.
             SimulationError: the simulator failed, or no hypothesis is possible any more.
         """
         name = f"frame {len(self._frames)}"
@@ -221,7 +226,7 @@ class Watch:
                 self._columns[name].add(value)
 
     def update(self, frame: ArrayLike, at: float | None = None) -> StepwisePosterior:
-        """Take in the next frame, as :meth:`take`; return the posterior given the frames so far."""
+        """Take in the next frame (see :meth:`take`); return the posterior of the frames so far."""
         self.take(frame, at)
         return self.posterior()
 
@@ -239,7 +244,11 @@ class Watch:
         return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
+        """Return the table of likelihoods of the frames so far, as a Dataset.
+
+        Its variables are listed in :mod:`phase_ppl.analysis.stepwise_table` (InvalidSettingError:
+        there was no frame yet).
+        """
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
@@ -287,10 +296,10 @@ watch = Watch
 
 
 class StepwiseInterrupted(KeyboardInterrupt):
-    """The reading was interrupted; what was read until then is kept.
+    """Ctrl-C while the closed loop reads a video: a ``KeyboardInterrupt``.
 
     Attributes:
-        posterior: given the frames that were read.
+        posterior: posterior given the frames that were read until then.
     """
 
     def __init__(self, posterior: StepwisePosterior) -> None:

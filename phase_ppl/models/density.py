@@ -75,10 +75,11 @@ def _check_not_forked() -> None:
 
 @contextlib.contextmanager
 def tracing() -> Iterator[None]:
-    """Keep other threads from tracing programs: all threads share NumPyro's stack of handlers.
+    """Keep other threads from tracing NumPyro programs in the meantime.
 
-    A context, and a decorator for functions that use NumPyro's handlers or kernels while other
-    threads may infer. Do not simulate within: other threads wait.
+    All threads share NumPyro's stack of handlers. So use this context, or decorator, around code
+    that uses NumPyro's handlers or kernels while other threads may infer. Other threads wait, so do
+    not simulate within.
 
     Raises:
         InvalidSettingError: the process was forked from one in which JAX was at work.

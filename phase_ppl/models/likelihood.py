@@ -32,15 +32,22 @@ _Array = TypeVar("_Array")
 class TrajectoryLikelihood(Protocol):
     """Compares a simulation with the video, frame by frame.
 
-    ``log_prob`` must work on NumPy and JAX arrays alike and fall with the error.
+    Both methods must work on NumPy and JAX arrays alike. The density must fall with the error.
     """
 
     def log_prob(self, errors: _Array) -> _Array:
-        """Return the log density of each frame from its error ||s_t - s^_t||, units."""
+        """Return the log density of each frame, an array of the shape of ``errors``.
+
+        The error of a frame is ||s_t - s^_t||, the distance between the simulated and the observed
+        positions of all entities, units.
+        """
         ...
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
-        """Return the largest summed error with which the log density can reach ``log_floor``."""
+        """Return the largest sum of frame errors, units, that is compatible with ``log_floor``.
+
+        With a larger sum, the log density of ``n_frames`` frames together is below ``log_floor``.
+        """
         ...
 
 
@@ -69,11 +76,13 @@ class InNats:
 
 @dataclasses.dataclass(frozen=True)
 class RadialLikelihood:
-    """exp(-beta ||s_t - s^_t||) / Z in every frame.
+    """The paper's likelihood: exp(-beta ||s_t - s^_t||) / Z in every frame.
+
+    ||s_t - s^_t|| is the distance between the simulated and the observed positions of all entities.
 
     Attributes:
-        beta: 1 / units; the paper's 0.05.
-        n_entities: number of entities of the world, which a run sets; d is twice that.
+        beta: how fast the density falls with the distance, 1 / units. Default: the paper's 0.05.
+        n_entities: number of entities of the world. A run sets it.
 
     Raises:
         InvalidSettingError: ``beta`` is no positive number.
@@ -87,7 +96,7 @@ class RadialLikelihood:
 
     @property
     def n_coordinates(self) -> int:
-        """Numbers per frame, d: x and y of each entity."""
+        """Number of coordinates in a frame, d: x and y of each entity."""
         return 2 * self.n_entities
 
     @property
@@ -98,25 +107,31 @@ class RadialLikelihood:
         return sphere + math.lgamma(d) - d * math.log(self.beta)
 
     def log_prob(self, errors: _Array) -> _Array:
-        """Return the log density of each frame from its error, units; -inf for an infinite one."""
+        """Return the log density of each frame, given its distance ``errors``, units.
+
+        The result has the shape of ``errors``. It is -inf for an infinite distance.
+        """
         return -self.beta * errors - self._log_normaliser  # type: ignore[operator,return-value]
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
-        """Return the summed error at which the log density of all frames is ``log_floor``."""
+        """Return the sum of distances, units, at which all frames have log density ``log_floor``.
+
+        There are ``n_frames`` frames.
+        """
         spent = n_frames * self._log_normaliser
         return -(log_floor + spent) / self.beta  # type: ignore[operator,return-value]
 
     def replicate(
         self, positions: NDArray[np.floating[Any]], rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return a random observation, given simulated positions.
+        """Return observed positions drawn from the likelihood, (..., entity, 2), units.
 
-        In every frame the positions of all entities are displaced by a vector of ``n_coordinates``
-        numbers, with random direction and Gamma(d, beta) length.
+        In every frame, independently, the positions of all entities are displaced by a vector of
+        ``n_coordinates`` numbers, with random direction and Gamma(d, beta) length.
 
         Args:
             positions: (..., entity, 2) simulated x, y, units.
-            rng: of the noise, which is independent in every frame.
+            rng: source of the noise.
         """
         direction = rng.standard_normal(positions.shape)
         direction /= np.linalg.norm(direction, axis=(-2, -1), keepdims=True)

@@ -51,19 +51,22 @@ class Model:
     """Prior, simulator and likelihood.
 
     Attributes:
-        prior: NumPyro program that samples the five sites of a hypothesis, and perhaps more; or the
-            name of a ready-made one (:mod:`phase_ppl.models.priors`). For other worlds than PHASE
-            the program has one argument, the world (:mod:`phase_ppl.models.world_priors`). A prior
-            that looks at the video has arguments named ``scene``, ``observation`` or ``event``.
-            Such a prior is empirical, a cue: the video counts twice, in the prior and in the
-            likelihood.
-        simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
-            methods (:class:`phase_ppl.simulator.contract.Simulator`). None: the joint simulator of
+        prior: NumPyro program that samples the five sites of a hypothesis
+            (:mod:`phase_ppl.models.sites`), and perhaps further sites; or the name of a registered
+            prior, such as "sparse_social" (:mod:`phase_ppl.models.priors`). For other worlds than
+            PHASE the program has one argument, the world (:mod:`phase_ppl.models.world_priors`). A
+            prior that looks at the video has arguments named ``scene``, ``observation`` or
+            ``event``. Such a prior is empirical, a cue: the video counts twice, in the prior and in
+            the likelihood.
+        simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with the
+            methods of :class:`phase_ppl.simulator.contract.Simulator`. None: the joint simulator of
             the paper (Algorithm 1).
-        likelihood: compares a simulation with the video (:mod:`phase_ppl.models.likelihood`), or is
-            a :class:`phase_ppl.StepwiseLikelihood`. None: a ``StepwiseLikelihood`` for the closed
+        likelihood: object that compares a simulation with the video
+            (:class:`phase_ppl.models.likelihood.TrajectoryLikelihood`), or a
+            :class:`phase_ppl.StepwiseLikelihood`. None: a ``StepwiseLikelihood`` for the closed
             loop, a :class:`phase_ppl.RadialLikelihood` for a kernel.
-        planner: "fast", "paper" or a ``PlannerConfig``, for the joint simulator. None: "fast".
+        planner: settings of the joint simulator's planner: "fast", "paper", another name of
+            :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``. None: "fast".
         noise: "fresh": each proposal has a new simulator seed, and the posterior is under the mean
             likelihood over seeds. "fixed": each event and hypothesis has one seed. The likelihood
             is then deterministic, and the posterior differs.
@@ -117,24 +120,25 @@ class Model:
 
     @functools.cached_property
     def sites(self) -> dict[str, tuple[int, ...]]:
-        """Latent sites of the prior with their shapes."""
+        """Latent sites of the prior: name -> shape. Empty if they depend on the world or video."""
         if asked(self.prior):
             return {}  # its sites depend on the world, or on what is seen
         return dict(checked_sites(self.prior))
 
     @classmethod
     def realtime(cls, prior: Program | str = priors.uniform) -> Model:
-        """Return the closed loop with settings for frames that come as they happen, in any world.
+        """Return a model with which the closed loop can read frames as they happen, in any world.
 
-        One set of searches, of 30 simulations over 10 particles, one strength (450 N) and eight
-        states. It costs about an eighth of the usual settings in PHASE, and is less accurate;
-        errors are unknown. ``benchmarks/realtime.py`` measures both.
+        It has one set of searches, each of 30 simulations over 10 belief particles, one strength
+        (450 N) and eight hidden states. Reading costs about an eighth of the usual settings in
+        PHASE, and is less accurate; errors of the posterior are unknown. ``benchmarks/realtime.py``
+        measures cost and accuracy.
 
         Args:
-            prior: as of the class.
+            prior: prior of the model, a program or a name.
 
         Raises:
-            InvalidSettingError, UnknownNameError: it is no prior.
+            InvalidSettingError, UnknownNameError: the prior cannot work, or is unknown.
         """
         from phase_ppl.agents.config import PlannerConfig
         from phase_ppl.closed_loop.hidden_state import Tracking
@@ -148,15 +152,15 @@ class Model:
         return cls(prior, likelihood=likelihood, planner=planner)
 
     def in_world(self, place: World | Scene, observation: Observation | None = None) -> Model:
-        """Return the model for events of a world: its prior bound to it, and its likelihood.
+        """Return the model for events of a world: the prior and the likelihood are bound to it.
 
         Args:
-            place: the world, or a scene of it.
-            observation: of the scene; for a prior that looks at the video.
+            place: the world, or a scene of the world.
+            observation: the video of the scene, for a prior that looks at the video.
 
         Raises:
-            InvalidSettingError: the prior is for PHASE and the world is not, or the reverse; it
-                asks for what is not given; or it cannot work.
+            InvalidSettingError: the prior is for PHASE and the world is not, or the reverse; the
+                prior looks at a scene or video that is not given; or it cannot work.
         """
         prior: Any = bound(self.prior, place, observation)
         likelihood = self.likelihood
@@ -168,7 +172,7 @@ class Model:
         return dataclasses.replace(self, prior=prior, likelihood=likelihood)
 
     def for_reading(self) -> Model:
-        """Return the model with a likelihood for the closed loop.
+        """Return the model with a likelihood for the closed loop: its own, or the default one.
 
         Raises:
             InvalidSettingError: its likelihood compares whole simulations with the video.
@@ -185,14 +189,14 @@ class Model:
         return dataclasses.replace(self, likelihood=StepwiseLikelihood())
 
     def for_sampling(self) -> Model:
-        """Return the model with a likelihood for kernels."""
+        """Return the model with a likelihood for kernels: its own, or a ``RadialLikelihood``."""
         if self.likelihood is not None:
             return self
         return dataclasses.replace(self, likelihood=RadialLikelihood())
 
     @property
     def error_likelihood(self) -> TrajectoryLikelihood:
-        """The likelihood of per-frame errors that kernels use."""
+        """The likelihood that kernels use; it turns the error of each frame into a log density."""
         likelihood: Any = self.for_sampling().likelihood
         return InNats() if is_stepwise(likelihood) else likelihood
 
@@ -211,11 +215,11 @@ class Model:
         return JointSimulator(self.planner_config())
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return the identity of this model, as plain data for a run's settings.
+        """Return what identifies the model, as plain data for a run's settings.
 
-        It has the names of prior and simulator with a hash of their source, if available; the
-        likelihood, the planner's values and the kind of noise; and the result of the simulator's
-        method ``settings()``, if it has one.
+        Keys are ``prior`` and ``simulator`` (names), ``prior_source`` and ``simulator_source``
+        (hashes of the source; None: unknown), ``likelihood``, ``planner`` and ``noise``. If the
+        simulator has a method ``settings()``, ``simulator_settings`` is its result.
         """
         users_simulator = self.simulator is not None
         details = getattr(self.simulator, "settings", None)

@@ -1,8 +1,8 @@
 """Ready-made priors over hypotheses.
 
-``Model(prior="sparse_social")`` takes one by name, :func:`available` lists them. They are NumPyro
-programs like any other, to be called inside a prior of one's own, and each is exact: its density
-is that of its draws.
+``Model(prior="sparse_social")`` takes one by name; :func:`available` lists the names. Each is a
+NumPyro program, which a prior of your own can call. The density of each prior is exactly that of
+its draws.
 
 Another package registers its prior under the entry point group ``phase_ppl.priors``::
 
@@ -55,6 +55,10 @@ PRIORS: Final = Registry[Program]("prior", entry_points="phase_ppl.priors")
 def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     """Return a decorator that makes a prior known under ``name``, as in ``Model(prior=name)``.
 
+    It decorates a NumPyro program without arguments that samples goals, alpha and strengths
+    (``phase_ppl.sites.HYPOTHESIS_SITES``), or any other program that :class:`phase_ppl.Model`
+    takes as its ``prior``. The program itself is not changed.
+
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
@@ -77,7 +81,7 @@ def name_of(prior: Program) -> str | None:
 
 @_ready_made
 def uniform() -> None:
-    """The paper's prior: goals alike, at most one agent with a social goal, strengths alike."""
+    """The paper's prior: uniform goals and strengths, and at most one agent helps or hinders."""
     sites.goals()
     sites.alpha()
     sites.strengths()
@@ -85,9 +89,9 @@ def uniform() -> None:
 
 @_ready_made
 def sparse_social() -> None:
-    """Social goals are rare: one agent helps or hinders with probability 0.1, all four ways alike.
+    """Social goals are rare: one agent helps or hinders with probability 0.1.
 
-    Everything else as in :func:`uniform`.
+    The four ways to do so are equally likely. Goals and strengths are as in :func:`uniform`.
     """
     sites.goals()
     one = SPARSE_SOCIAL / (len(ALPHAS) - 1)
@@ -100,7 +104,7 @@ def sparse_social() -> None:
 def no_social_goals() -> None:
     """Nobody helps or hinders: alpha is (0, 0) for certain. An ablation.
 
-    Two agents share a goal, or have opposite ones, by chance only. Everything else as in
+    Two agents share a goal, or have opposite ones, by chance only. Goals and strengths are as in
     :func:`uniform`.
     """
     sites.goals()
@@ -111,11 +115,11 @@ def no_social_goals() -> None:
 
 @_ready_made
 def symmetric_alphas() -> None:
-    """All five alphas alike: 1/5 each.
+    """All five alphas are equally likely: 1/5 each.
 
-    Symmetric in what each agent does: the alpha of either is -1, 0 or 1 alike, independently of
-    the other's, given that not both have one (the paper excludes that). :func:`uniform` draws the
-    sign first, the agent second, and has no social goal with probability 1/3.
+    So the alpha of each agent is -1, 0 or 1 with equal probability, independently of the other
+    agent's, given that at most one is not 0 (as in the paper). :func:`uniform` draws the sign
+    first, the agent second, and nobody helps or hinders with probability 1/3.
     """
     sites.goals()
     numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.full(len(ALPHAS), 1 / len(ALPHAS))))
@@ -128,12 +132,12 @@ def relation_first(
 ) -> None:
     """The relation is drawn first, then goals and alpha that make it.
 
-    P(goals, alpha) = P(relation) P(goals, alpha | relation), the latter that of :func:`uniform`
-    given its relation. The relation follows from the goals, so it is no site of its own: the
-    program draws the goals one after the other, then alpha, from that joint distribution.
+    P(goals, alpha) = P(relation) P(goals, alpha | relation). The last factor is that of
+    :func:`uniform`. The relation follows from effective goals, so it is no site: the program draws
+    the goals one after the other, then alpha, from this joint distribution.
 
     Args:
-        friendly, neutral, adversarial: probabilities of the relations, 1/3 each by default.
+        friendly, neutral, adversarial: probability of each relation, by default 1/3.
     """
     probabilities = dict(zip(("friendly", "neutral", "adversarial"),
                              (friendly, neutral, adversarial), strict=True))  # fmt: skip
@@ -174,8 +178,8 @@ def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, Floa
 def correlated_strengths() -> None:
     """The agents are about as strong as each other.
 
-    Each strength alone is uniform on [150, 600] newtons as in :func:`uniform`; their normal
-    scores have the correlation 0.8 (a Gaussian copula), so that neither agent comes first.
+    Each strength alone is uniform on [150, 600] newtons. The normal scores of the two strengths
+    have correlation 0.8 (a Gaussian copula). Goals and alpha are as in :func:`uniform`.
     """
     sites.goals()
     sites.alpha()
@@ -224,9 +228,9 @@ def _normal_score(strength: jax.Array) -> jax.Array:
 
 @_ready_made
 def strength_levels() -> None:
-    """Strengths are one of the four levels of the original world, alike: 150, 300, 450, 600 N.
+    """Strengths are 150, 300, 450 or 600 N, the original world's levels, all equally likely.
 
-    Everything else as in :func:`uniform`.
+    Goals and alpha are as in :func:`uniform`.
     """
     sites.goals()
     sites.alpha()

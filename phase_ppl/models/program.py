@@ -75,25 +75,26 @@ class Lookup(NamedTuple):
 
 
 class EventProgram:
-    """The model of one event, bound to the bridge that runs its simulations.
+    """The model of one event as a NumPyro program. :func:`phase_ppl.program` makes one.
 
-    Calling it runs the paper's model as a NumPyro program, which can be traced, seeded, conditioned
-    and sampled. :meth:`uniform` is the same law without discrete sites. Kernels that need the prior
-    density before they simulate use its parts.
+    The program can be traced, seeded, conditioned and sampled. :meth:`uniform` has the same
+    distribution over hypotheses and seeds, without discrete sites. Kernels that need the prior
+    density before they simulate call the other methods.
 
     The simulator is noisy, and its seed w is a latent site, ``sim_seed``. The target is
-    P(h) p(w) L(e(h, w)), and the same point always has the same likelihood. Under any exact kernel
-    the hypotheses h of a chain follow the posterior under the mean likelihood over seeds
-    (pseudo-marginal). With ``noise="fixed"`` the seed follows from the hypothesis.
+    P(h) p(w) L(e(h, w)) over the hypothesis h and w, where e are the errors of the simulation. The
+    same h and w always have the same likelihood. So, under any exact kernel, the hypotheses of a
+    chain follow the posterior under the mean likelihood over seeds (pseudo-marginal). With
+    ``noise="fixed"`` the seed follows from the hypothesis.
 
     Args:
-        model: prior, likelihood, noise.
+        model: prior, likelihood and noise, bound to the event's world (``Model.in_world``).
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
-        n_frames: length of the arrays (time,).
-        salt: number of the event for ``noise="fixed"``; see :func:`event_salt`.
-        observed: how many frames are observed, T, if arrays are longer; perhaps known only inside
-            compiled code. Errors and log likelihoods of frames beyond it are 0.
-        table: the closed loop's table, looked up in place of simulating.
+        n_frames: number of frames, the length of arrays (time,).
+        salt: number that stands for the event under ``noise="fixed"``; see :func:`event_salt`.
+        observed: number of observed frames, if arrays (time,) are longer than that. It may be known
+            only inside compiled code. Errors and log likelihoods of frames beyond it are 0.
+        table: the closed loop's table of likelihoods, which then takes the simulator's place.
     """
 
     def __init__(
@@ -131,10 +132,11 @@ class EventProgram:
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
 
     def uniform(self) -> None:
-        """The same law as a NumPyro program with one site: ``uniform``, (dimension,) numbers.
+        """Run the model as a NumPyro program of one site, ``uniform``: (dimension,) in [0, 1].
 
-        For samplers without discrete sites: NumPyro's SA, AIES, ESS. Hypothesis and seed are
-        deterministic sites, functions of the numbers.
+        It is for NumPyro's samplers that know no discrete sites: SA, AIES, ESS. Hypothesis and seed
+        are deterministic sites, functions of the uniform numbers. Their distribution is that of the
+        program itself.
 
         Raises:
             InvalidSettingError: a site of the prior has no inverse distribution function, or a
@@ -154,23 +156,24 @@ class EventProgram:
         numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -IMPOSSIBLE_POTENTIAL))
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis, with any further sites, from the prior."""
+        """Return site -> value: a hypothesis, and any further sites, drawn from the prior."""
         return draw(self.model.prior, key)
 
     @tracing()
     def log_prior(self, sites: Sites) -> jax.Array:
-        """Return the log density of the prior, -inf outside its support."""
+        """Return the log prior density of ``sites`` (site -> value); -inf outside the support."""
         with handlers.block():  # where it is asked for within a program
             return log_density(self.model.prior, sites)
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
-        """Return (time,) the log density of each observed frame."""
+        """Return (time,) the log density of each frame, from its error ``step_error``, (time,)."""
         return self._within(self.likelihood.log_prob(step_error))
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
-        """Return the log density of the observation, relative to a simulation without error.
+        """Return the log density of the observation minus that at errors of 0.
 
-        It is computed frame by frame: the likelihood's large constant cancels without rounding.
+        It is a sum over frames with errors ``step_error``, (time,), units. So the likelihood's
+        large constant cancels without rounding.
         """
         none = self.likelihood.log_prob(jnp.zeros_like(step_error))
         return self._within(self.likelihood.log_prob(step_error) - none).sum()
@@ -190,13 +193,20 @@ class EventProgram:
         log_proposal: jax.Array | float = np.nan,
         log_bound: jax.Array | float = np.inf,
     ) -> jax.Array:
-        """Return (time,) the errors of a simulation, units; float32; inside compiled code.
+        """Return the error of each frame of one simulation, (time,), units, float32.
 
-        The bridge is given as a number, so one compiled program serves many events. A simulation is
-        stopped once its summed error exceeds the ceiling; errors are inf from there. They are all
-        inf for failed simulations and for hypotheses without prior mass, which are not simulated.
-        They are 0 beyond the observation. ``log_proposal`` and ``log_bound`` are recorded, see
-        :class:`~phase_ppl.models.bridge.Record`.
+        It works inside compiled code. The bridge is a number there, so one compiled program serves
+        many events. All errors are inf if the simulation failed, or if the hypothesis has no prior
+        mass and so was not simulated. Errors are 0 beyond the observation.
+
+        Args:
+            sites: site -> value, the hypothesis and any further sites.
+            log_prior: log prior density of ``sites``.
+            seed: seed of the simulation.
+            error_ceiling: sum of errors, units, beyond which the simulation is stopped. Errors are
+                inf from there.
+            log_proposal, log_bound: numbers to record with the simulation; see
+                :class:`~phase_ppl.models.bridge.Record`.
         """
         if self.table is not None:
             strengths = jnp.stack([sites[name] for name in self.space.strength_sites])
@@ -207,7 +217,7 @@ class EventProgram:
         return called_back(self.n_frames, *jax.tree.map(jnp.asarray, (self.bridge, asked)))
 
     def answer(self, request: Request) -> jax.Array:
-        """Return (..., time) the errors of an array (...) of requests, inside compiled code."""
+        """Return the errors (..., time), units, of an array (...) of requests to simulate."""
 
         def one(request: Request) -> jax.Array:
             return self.simulate(*request)
@@ -217,10 +227,10 @@ class EventProgram:
         return one(request)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
-        """Return the simulator's seed, int32, for a proposed hypothesis.
+        """Return the simulator's seed, int32, for a proposed hypothesis ``sites`` (site -> value).
 
-        It is drawn with ``key``. With fixed noise it is a function of the event, effective goals
-        and strengths.
+        With fresh noise the seed is drawn with ``key``. With fixed noise it is a function of the
+        event, the effective goals and the strengths.
         """
         if self.model.noise == "fixed":
             return self._fixed_seed(sites)
@@ -234,12 +244,15 @@ class EventProgram:
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
 
     def seed_at(self, uniform: jax.Array, sites: Sites) -> jax.Array:
-        """Return the seed for a number in [0, 1), which fixed noise ignores."""
+        """Return the seed of the hypothesis ``sites`` for a number ``uniform`` in [0, 1).
+
+        With fixed noise the number has no effect.
+        """
         number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
         return self.simulator_seed(random.fold_in(random.key(0), number), sites)
 
     def effective_goals(self, sites: Sites) -> jax.Array:
-        """Return (agent,) the codes of the goals that agents act on."""
+        """Return (agent,) the effective goals of ``sites``, indices into ``world.goals``."""
         return effective_goals(self.space, sites)
 
     def _effective(self, sites: Sites) -> jax.Array:

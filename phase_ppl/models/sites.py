@@ -1,13 +1,14 @@
-"""The sites of a hypothesis, and default statements to use inside a prior of one's own.
+"""The sites of a hypothesis, and functions that sample them inside a prior of your own.
 
-A prior is a NumPyro program that samples all five sites; it may sample further ones::
+A prior of PHASE is a NumPyro program that samples the five sites ``goal_red``, ``goal_green``,
+``alpha``, ``strength_red`` and ``strength_green``. It may sample further sites::
 
     def helpers_common():
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array([.2, .3, .3, .1, .1])))
         phase_ppl.sites.goals()
         phase_ppl.sites.strengths()
 
-Strengths are real numbers, or one of a few (:class:`OneOf`).
+A strength is a real number, newtons, or one of a few numbers (:class:`OneOf`).
 """
 
 from __future__ import annotations
@@ -54,14 +55,19 @@ STRENGTH_SITES: Final = _SPACE.strength_sites  # maximum forces, newtons
 HYPOTHESIS_SITES: Final = _SPACE.sites
 
 ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)
-"""The paper's (Appendix 4B): u from {-1, 0, 1}; if not 0, one agent by chance has it."""
+"""Probability of each of ``ALPHAS`` under the paper's prior (Appendix 4B).
+
+A number u is drawn from {-1, 0, 1}. If it is not 0, one of the agents, drawn at random, has it."""
 
 SELF_REFERRING: Final = _SPACE.impossible
 """(holder, goal): goals that name their own holder and have no prior mass."""
 
 
 def goals(world: World = PHASE) -> tuple[jax.Array, ...]:
-    """Sample the agents' own goals: all that an agent can have are alike, in PHASE 34."""
+    """Sample the site ``goal_<agent>`` of each agent; return the goals, indices (agent,).
+
+    The goals that an agent can have, 34 in PHASE, are equally likely.
+    """
     space = space_of(world)
     logits = np.where(space.impossible, IMPOSSIBLE, 0.0)
     return tuple(
@@ -71,28 +77,35 @@ def goals(world: World = PHASE) -> tuple[jax.Array, ...]:
 
 
 def alpha() -> jax.Array:
-    """Sample ``alpha``: 1/3 for (0, 0), 1/6 for each of the others."""
+    """Sample the site ``alpha``; return an index into ``ALPHAS``.
+
+    (0, 0) has probability 1/3, each other alpha 1/6.
+    """
     return numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
 
 
 def strengths(world: World = PHASE) -> tuple[jax.Array, ...]:
-    """Sample the agents' strengths: uniform on [150, 600] newtons."""
+    """Sample the site ``strength_<agent>`` of each agent; return the strengths (agent,).
+
+    They are independent and uniform on [150, 600] newtons.
+    """
     names = space_of(world).strength_sites
     return tuple(numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in names)
 
 
 class OneOf(dist.Distribution):
-    """One of finitely many numbers.
+    """NumPyro distribution over finitely many numbers.
 
-    A prior that samples a strength from it makes the bottom-up proposals choose among the same
-    numbers, so that Hastings' correction compares like with like::
+    If a prior samples a strength from it, bottom-up proposals of that strength are among these
+    numbers too, so that Hastings' correction compares like with like::
 
         numpyro.sample("strength_red", ppl.sites.OneOf([150.0, 450.0], probs=[0.2, 0.8]))
 
     Args:
-        values: (k,) the numbers; they may depend on other sites.
-        probs: (k,) their probabilities, normalised here; by default alike.
-        logits: (k,) unnormalised log probabilities instead.
+        values: (value,) the numbers; they may depend on other sites.
+        probs: (value,) probability of each number, normalised here. Default: all equal.
+        logits: (value,) unnormalised log probability of each number, in place of ``probs``.
+        validate_args: whether NumPyro checks arguments; None: NumPyro's default.
 
     Raises:
         ValueError: there are no values, another number of probabilities than of values, or both
@@ -134,14 +147,14 @@ class OneOf(dist.Distribution):
 
     @constraints.dependent_property(is_discrete=True, event_dim=0)
     def support(self) -> constraints.Constraint:
-        """The values that have mass."""
+        """The numbers that have probability above 0."""
         return _OneOf(self.values, self.logits > _MASSLESS)
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
         return self.values[random.categorical(key, self.logits, shape=sample_shape)]
 
     def log_prob(self, value: Any) -> jax.Array:
-        """Return the log probability of a value; -inf where it is none of them."""
+        """Return the log probability of each of ``value``; -inf if it is none of the numbers."""
         same = jnp.asarray(value)[..., None] == self.values
         return logsumexp(jnp.where(same, jax.nn.log_softmax(self.logits), -jnp.inf), axis=-1)
 

@@ -38,45 +38,47 @@ FEWEST: Final = 20
 
 @dataclasses.dataclass(frozen=True)
 class StepwiseLikelihood:
-    """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
+    """The closed loop's likelihood: each frame is predicted from the frames before it.
 
-    An agent acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|. Visits are those of the
-    root actions in the planner's search; |A| is the number of actions. pi is averaged over
-    ``planner_seeds`` independent sets of beliefs and searches.
+    p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics for each
+    frame. The probability of an agent's action is (1 - lapse) visits^sharpness / Z + lapse / |A|.
+    Visits count how often the planner's search tried the action first; |A| is the number of
+    actions. These probabilities are averaged over ``planner_seeds`` sets of searches.
 
     The posterior is tempered: each frame counts ``weight``. The reason is that real agents can plan
     otherwise than the model for many frames on end, so frames are not independent evidence.
-    Strengths are tempered likewise, see ``tracking``. The result is approximate in the planner's
-    searches and in the filter of the hidden state.
+    Evidence for strengths is tempered by ``tracking.strength_weight``. The result is approximate in
+    the planner's searches and in the filter of the hidden state.
 
     ``lapse`` and ``weight`` have the highest log score of goals and relation, after the whole
-    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 of
-    the others, whose scores were seen too, they come within 0.01 nats a video of the best. So
-    figures on these videos are in-sample.
+    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 of the other videos,
+    whose scores were seen too, they come within 0.01 nats a video of the best. So figures on these
+    videos are in-sample.
 
     A simulator of your own (:class:`phase_ppl.simulator.contract.Simulator`) may have a density of
     the next frame, ``log_prob_next``. Then the posterior is exact. Otherwise the density is a
     kernel density of the positions of all entities in ``samples`` next frames
     (:mod:`phase_ppl.closed_loop.kernel_density`). It is biased if kernels are wide or few samples
-    are near the observation; more samples reduce this. Planner and hidden state are then not used.
-    Of ``tracking`` only three settings count: ``strengths``; ``scale``, the least standard
-    deviation of a kernel; and ``noise``, which is added to it (None: 0).
+    are near the observation; more samples reduce this. Planner and hidden state are not used with a
+    simulator of your own. Of ``tracking`` only three settings count then: ``strengths``; ``scale``,
+    the least standard deviation of a kernel; and ``noise``, which is added to that (None: 0).
 
     Attributes:
-        sharpness: exponent of the visits, the inverse temperature of a policy.
-        lapse: probability, in each frame, of a random action.
+        sharpness: exponent of the visits: the inverse temperature of an agent's policy.
+        lapse: probability, in each frame, that an agent acts at random.
         weight: exponent of each frame's density; 1: the posterior is not tempered. None: 0.2, or 1
             with a simulator of your own.
-        planner_seeds: number of sets of searches. Errors come from their spread; with 1, the
-            fastest, they are unknown. The first set searches for all goals. The others search only
-            for the most probable combinations of goals, which have 0.99 of the posterior so far.
-            With more than 50 000 hypotheses all sets search for all goals.
-        tracking: how hidden velocities, holds and strengths are followed.
-        samples: number of sampled next frames, per hypothesis and frame, of a simulator of your
-            own.
+        planner_seeds: number of sets of searches (a set is one run of all agents' planners along
+            the video). Errors of the posterior come from the spread of the sets; with one set, the
+            fastest, they are unknown. The first set searches for all goals. Further sets search
+            only for the most probable combinations of goals, which have 0.99 of the posterior so
+            far. With more than 50 000 hypotheses all sets search for all goals.
+        tracking: settings by which hidden velocities, holds and strengths are followed.
+        samples: number of next frames sampled per hypothesis and frame from a simulator of your
+            own; 20 or more.
 
     Raises:
-        InvalidSettingError: a value that cannot be used.
+        InvalidSettingError: a value cannot be used.
     """
 
     sharpness: float = 4.0
@@ -101,13 +103,13 @@ class StepwiseLikelihood:
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
 
     def frame_weight(self, users_simulator: bool = False) -> float:
-        """Return what a frame counts, with a simulator of one's own or the joint one."""
+        """Return the weight of a frame; ``users_simulator``: the model has its own simulator."""
         usual = 1.0 if users_simulator else WEIGHT
         return usual if self.weight is None else float(self.weight)
 
     @property
     def policy(self) -> ActionPolicy:
-        """How agents act on their plans."""
+        """How agents act on their plans: sharpness and lapse."""
         return ActionPolicy(self.sharpness, self.lapse)
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
 :func:`phase_ppl.world.hypothesis.all_ways`: who helps or hinders whom) and ``strength_<agent>``
-(newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
-These sites must be independent of each other, unless the closed loop reads a world in which a
-prior can be a table of all hypotheses, as it is in PHASE::
+(newtons). ``world.keys`` has the agents' short names, such as "red". The goal of an agent that
+helps or hinders is not used. These sites must be independent of each other, unless the closed loop
+reads a world with few enough hypotheses for a table of them all, such as PHASE::
 
     def alone(world):
         phase_ppl.roles.goals(world)
@@ -14,9 +14,8 @@ prior can be a table of all hypotheses, as it is in PHASE::
     phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
 
 A prior of any world may look at the video: see :func:`bound`. Bound to a world, a prior is a
-:class:`WorldPrior`. Tables are made by
-:mod:`phase_ppl.models.effective`; without one a mass is a sum over ways to help or hinder of
-products.
+:class:`WorldPrior`. :mod:`phase_ppl.models.effective` makes the tables. Without a table, the mass
+of effective goals is a sum of products over the ways to help or hinder.
 """
 
 from __future__ import annotations
@@ -58,16 +57,20 @@ RolePrior = Callable[[World], object]
 
 
 def company(world: World, social: float = SOCIAL) -> None:
-    """Sample who helps or hinders whom: anybody with probability ``social``, all ways alike."""
+    """Sample the site ``company``: who helps or hinders whom.
+
+    With probability ``social`` some agent helps or hinders another; all ways to do so are equally
+    likely. Default: 2/3, as in the paper.
+    """
     n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
     numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
 
 
 def uniform(world: World, social: float = SOCIAL) -> None:
-    """The paper's prior in any world: goals and strengths are alike.
+    """The paper's prior in any world: :func:`goals`, :func:`company` and :func:`strengths`.
 
-    Somebody helps or hinders with probability ``social``, all ways to do so alike.
+    ``social`` is the probability that some agent helps or hinders another.
     """
     goals(world)
     company(world, social)
@@ -78,13 +81,15 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Hyp
     """Return a hypothesis drawn from a prior, for :func:`phase_ppl.simulate`.
 
     Args:
-        world: whose agents and goals.
-        seed: the same seed gives the same hypothesis.
-        prior: NumPyro program of a world, or a ready-made one. Hypotheses in which somebody helps
-            or hinders and has nothing to do are not drawn.
+        world: the world of agents and goals.
+        seed: a whole number >= 0. The same seed gives the same hypothesis.
+        prior: NumPyro program whose argument is the world, or one of PHASE's priors ``uniform``,
+            ``sparse_social`` and ``no_social_goals``. A hypothesis is drawn anew if an agent that
+            helps or hinders would want what is no goal of the world.
 
     Raises:
-        InvalidSettingError: it gives (nearly) all mass to others.
+        InvalidSettingError: the prior is for PHASE only, looks at a video, or gives (nearly) no
+            mass to hypotheses in which every agent can act.
     """
     if looks_at(prior):
         raise refused(qualified_name(prior), "looks at a video, and there is none to look at")

@@ -12,10 +12,10 @@ from phase_ppl.world.scene import Turning
 
 
 class Action(enum.IntEnum):
-    """An agent's action during one planner step. Directions are relative to its own body.
+    """An agent's action during one planner step: one frame, a twelfth of a simulated second.
 
-    ``UP`` is ahead. ``STOP`` ends its motion, ``NO_FORCE`` lets it coast. ``ATTACH`` grabs an item
-    within reach, ``DETACH`` lets go of it.
+    Directions are relative to the agent's body; ``UP`` is ahead. ``STOP`` ends the agent's motion,
+    ``NO_FORCE`` lets it coast. ``ATTACH`` grabs an item within reach, ``DETACH`` lets go of it.
     """
 
     TURN_LEFT = 0
@@ -35,7 +35,7 @@ class Action(enum.IntEnum):
 
     @property
     def recorded(self) -> str:
-        """Its name in recorded data: "turnleft", ..., "detach"."""
+        """Name of the action in the recordings of PHASE's authors: "turnleft", ..., "detach"."""
         return self.name.lower().replace("_", "")
 
 

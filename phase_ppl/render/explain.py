@@ -51,14 +51,15 @@ class Episode(NamedTuple):
 def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
     """Return sentences on what the agents of a simulated event did, and why.
 
-    Each line is about a stretch of time in which an agent has one subgoal: when, in simulated
-    seconds; who; and what. It adds where the agent believes the subject of its goal to be, if it
-    does not see it, or that it holds it. Shares are of its belief particles.
+    Each line is about a stretch of time, in simulated seconds, in which an agent has one subgoal.
+    It says what the agent does, and how it knows the place of the entity that its goal is about: it
+    sees the entity, holds it, or believes it in a room. Behind a room stands the share of the
+    agent's belief particles in which the entity is there.
 
     Args:
-        event: from :func:`phase_ppl.simulate`.
-        path: where to write a film as well, ending in .mp4. It shows what each agent sees, where it
-            believes unseen entities to be (dots in their colours), and its subgoal.
+        event: an event from :func:`phase_ppl.simulate`.
+        path: file for a film, ending in .mp4; None: no film. The film shows what each agent sees,
+            where it believes unseen entities to be (dots in their colours), and its subgoal.
 
     Raises:
         InvalidEventError: the event has no thoughts of its agents.

@@ -35,9 +35,14 @@ _ASIDE: Final = 1e-7  # how far beside an edge its two rays pass, rad
 
 
 def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
-    """Return (n, 2) corners of the area that ``agent`` has in view; it can go beyond the arena.
+    """Return the corners (n, 2) of the area that an agent has in view, units; the eye comes first.
 
-    Poses are (entity, coord) with coord = x, y [units], angle [rad]. The first corner is the eye.
+    The area can go beyond the arena.
+
+    Args:
+        scene: walls and sizes.
+        poses: (entity, coord) x, y [units], angle [rad] of all entities.
+        agent: index of the agent.
     """
     from phase_ppl.agents.vision import HALF_ANGLE  # imports numba, which is slow
 
@@ -134,20 +139,20 @@ class Painter:
 
     Args:
         scene: arena, walls, landmarks and sizes.
-        fields_of_view: whether to show what all agents can see, or a list of agents.
-        fine: subpixels per pixel and axis, averaged at the end. Fewer are faster, and enough for a
-            picture that is made smaller.
-        pale: how far the landmarks are mixed with white, so that more can be seen on them.
+        fields_of_view: whether to show what all agents can see, or the indices of some agents.
+        fine: number of subpixels per pixel and axis, averaged at the end. Fewer are faster, and
+            enough for a picture that is made smaller.
+        pale: share of white, 0 to 1, in the landmarks' colours, so that more can be seen on them.
 
     Attributes:
         scene: the scene.
-        size: width and height of its pictures, pixels.
+        size: width and height of the pictures, pixels.
         scale: pixels per unit.
-        background, wall_colour, eye_colour: RGB values from 0 to 255.
-        wall_pixels: width of a wall.
-        corners: (4, 2) of an agent of size 1 in its body frame, whose y axis points ahead,
-            clockwise from the back left.
-        eyes, eye_radius: (2, 2) centres and the size of its eyes, in the same frame.
+        background, wall_colour, eye_colour: (red, green, blue), each from 0 to 255.
+        wall_pixels: width of a wall, pixels.
+        corners: (4, 2) corners of an agent of size 1, clockwise from the back left, in the agent's
+            frame, whose y axis points ahead.
+        eyes, eye_radius: (2, 2) centres and the radius of the eyes, in the agent's frame.
     """
 
     background: ClassVar[Colour] = (255, 255, 255)
@@ -188,10 +193,10 @@ class Painter:
         """Return the frame with the entities at ``poses``.
 
         Args:
-            poses: (entity, coord) with coord = x, y [units], angle [rad]. A body that was not seen,
-                NaN, is not drawn; an agent of which the angle was not seen is drawn as a disc.
-            trail: (time, entity, coord) of earlier poses, drawn as thin lines.
-            faint: (entity, coord) of other poses, drawn faintly below all else.
+            poses: (entity, coord) x, y [units], angle [rad]. A body that was not seen, NaN, is not
+                drawn; an agent whose angle was not seen is drawn as a disc.
+            trail: (time, entity, coord) earlier poses, drawn as thin lines.
+            faint: (entity, coord) further poses, drawn faintly below all else.
         """
         pose = finite_array("poses", poses, (len(self._colours), 3), unseen=True)
         picture = self.floor.copy()
@@ -221,19 +226,19 @@ class Painter:
         return picture
 
     def pixel(self, points: ArrayLike) -> FloatArray:
-        """Return the pixel coordinates (column, row from the top) of points of shape (..., 2)."""
+        """Return the pixel coordinates (column, row from the top), (..., 2), of points in units."""
         offset = (np.asarray(points, float) - self.scene.centre) * self.scale
         # pixel (i, j) covers [i, i + 1) x [j, j + 1): half a pixel more keeps odd lines sharp
         return np.array(self.size) / 2 + 0.5 + offset * np.array([1.0, -1.0])
 
     def units(self, pixels: ArrayLike) -> FloatArray:
-        """Return the points, in units, of pixel coordinates of shape (..., 2)."""
+        """Return the points x, y [units], (..., 2), at pixel coordinates (the inverse of pixel)."""
         offset = np.asarray(pixels, float) - np.array(self.size) / 2 - 0.5
         return np.asarray(self.scene.centre + offset / self.scale * np.array([1.0, -1.0]))
 
     @functools.cached_property
     def floor(self) -> Image.Image:
-        """Background and landmarks."""
+        """Picture of background and landmarks."""
         picture = Image.new("RGB", self.size, self.background)
         scene = self.scene
         for centre, half, one in zip(
@@ -291,11 +296,11 @@ class Painter:
 
 
 def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> Pixels:
-    """Return one frame as (height, width, 3) RGB values, 480 x 640 in PHASE.
+    """Return a picture of a scene: (height, width, 3) RGB values, 480 x 640 x 3 in PHASE.
 
     Args:
         scene: arena, walls, landmarks and sizes.
-        poses: (entity, coord) with coord = x, y [units], angle [rad].
+        poses: (entity, coord) x, y [units], angle [rad]; NaN: not seen.
         fields_of_view: whether to show what each agent can see.
 
     Raises:
@@ -413,9 +418,14 @@ def image(
     *,
     fields_of_view: bool = False,
 ) -> None:
-    """Write one frame, -1 for the last one, as a PNG; 640 x 480 in PHASE.
+    """Write one frame as a PNG, of 640 x 480 pixels in PHASE.
 
-    ``what``, ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
+    Args:
+        what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
+        frame: number of the frame, from 0; -1 is the last one.
+        path: the file, ending in ".png".
+        scene: walls, landmarks and sizes; required unless ``what`` is an event.
+        fields_of_view: whether to show what each agent can see.
 
     Raises:
         InvalidSettingError: there is no such frame, or a trajectory comes without a scene.
@@ -439,10 +449,14 @@ def strip(
     *,
     fields_of_view: bool = False,
 ) -> None:
-    """Write a film strip as PNG: ``n`` frames from first to last, evenly spaced.
+    """Write a film strip as PNG: frames from first to last, evenly spaced.
 
-    Lines show the paths since the picture before; the times below are simulated seconds. ``what``,
-    ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
+    Lines show the paths since the picture before. The times below are simulated seconds.
+
+    Args:
+        what, scene, fields_of_view: as in :func:`phase_ppl.render.image`.
+        path: the file, ending in ".png".
+        n: number of frames in the strip.
 
     Raises:
         InvalidSettingError: there are fewer than ``n`` frames, or a trajectory comes without a
@@ -504,19 +518,20 @@ def contact_sheet(
     *,
     progress: bool | None = None,
 ) -> Path:
-    """Write one picture of many events: each has its last frame, the paths there and its start.
+    """Write one picture of many events.
 
-    The start is faint. Captions are ids below a line in the colour of the scenario; a legend above
-    explains the colours. A sheet of 500 events takes some 60 MB while it is drawn.
+    Each event is shown by its last frame, the paths that led there and, faintly, its start. Below
+    are its id and a line in the colour of its scenario. A legend above explains the colours. A
+    sheet of 500 events takes some 60 MB while it is drawn.
 
     Args:
-        events: shown in this order, row by row.
+        events: the events, shown in this order, row by row.
         path: the file, ending in ".png".
-        columns: events per row; by default the sheet is about square.
-        progress: whether to show a progress bar; None: where stderr is a terminal.
+        columns: number of events per row; by default the sheet is about square.
+        progress: whether to show a progress bar; None: if stderr is a terminal.
 
     Returns:
-        The file.
+        Path of the file.
 
     Raises:
         InvalidEventError: there are no events.

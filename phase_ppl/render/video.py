@@ -40,11 +40,7 @@ from phase_ppl.world.scene import Scene
 
 
 class Film(os.PathLike[str]):
-    """A written film; notebooks play it.
-
-    Attributes:
-        path: the file.
-    """
+    """A film in a file; notebooks play it. ``path`` is the file."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
@@ -135,17 +131,17 @@ def video(
     Frames of a trajectory are means over a step. Between them, bodies move on straight lines.
 
     Args:
-        what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
+        what: an event, an observation, or an array (time, entity, coord) of x, y [units],
+            angle [rad].
         path: the file, ending in ".mp4"; it appears only once it is complete.
         scene: walls, landmarks and sizes; required unless ``what`` is an event.
-        fps: frames per second.
-        frames_per_step: drawn frames per frame of the trajectory.
-        fields_of_view: whether to show what each agent can see from its drawn place, by the
-            simulator's rule (:mod:`phase_ppl.render.frames`).
-        compare: a second trajectory, drawn beside the first in the same scene, or an event, in its
-            own scene. The shorter one stands still at its end.
-        compare_scene: scene of the second trajectory, if it is another.
-        captions: names of the two, above them.
+        fps: number of drawn frames per second of the film.
+        frames_per_step: number of drawn frames per frame of the trajectory.
+        fields_of_view: whether to show what each agent can see from its drawn place.
+        compare: a second event, observation or array to draw beside the first. An event is drawn in
+            its own scene, others in the first's. The shorter one stands still at its end.
+        compare_scene: scene in which to draw ``compare``, in place of these.
+        captions: texts above the first and the second.
         progress: whether to show a progress bar.
 
     Returns:
@@ -210,14 +206,15 @@ def videos(
 ) -> list[Path]:
     """Write an MP4 of each event, ID.mp4, in the look of the PHASE videos.
 
-    A finished video is not made again, so the next call continues an interrupted one. A video
+    A finished video is not made again, so a second call continues an interrupted one. A video
     appears only once it is complete.
 
     Args:
-        events: the set.
-        folder: folder of the videos; made if need be.
-        workers: processes; default one per usable core.
-        progress: whether to show a progress bar; None: where stderr is a terminal.
+        events: the events, whose ids are the files' names; characters other than letters, digits,
+            ".", "_" and "-" are replaced.
+        folder: folder of the videos; it is made unless it exists.
+        workers: number of processes; by default one per usable core.
+        progress: whether to show a progress bar; None: if stderr is a terminal.
 
     Returns:
         The files, in the order of the events.

@@ -38,9 +38,9 @@ _STREAM: Final = 0x5EED
 class Simulator(Protocol):
     """Yields frames (entity, 3) = x, y [units], angle [rad] until it is closed.
 
-    The first frame is compared with the first observed one. ``hypothesis`` holds effective goals;
-    no agent in it helps or hinders. All randomness comes from ``rng``. A simulation fails if it
-    ends early, raises, or yields a value that is not finite.
+    The first frame is compared with the first observed one. ``scene`` is the start. ``hypothesis``
+    has effective goals as stated ones; no agent in it helps or hinders. All randomness comes from
+    ``rng``. A simulation fails if it ends early, raises, or yields a value that is not finite.
 
     A simulator may have more methods:
 
@@ -50,13 +50,13 @@ class Simulator(Protocol):
       with a run.
     * ``warm_up()``: does once the work that all processes can share, such as compiling.
 
-    For the closed loop (:class:`phase_ppl.StepwiseLikelihood`) it needs one of the two below;
-    then ``__call__`` is optional. Both get the earlier frames, ``seen``, (t, entity, 3). If the
-    first exists, the second is not called:
+    For the closed loop (:class:`phase_ppl.StepwiseLikelihood`) a simulator needs one of the two
+    methods below; then ``__call__`` is optional. ``seen``, (time, entity, 3), is the earlier
+    frames. If a simulator has both methods, only the first is called:
 
     * ``log_prob_next(scene, hypothesis, seen, frame) -> float``: log density of the next frame,
-      (entity, 3); -inf if it is impossible. It is of whole frames: where a body was not seen,
-      events are refused.
+      (entity, 3); -inf if it is impossible. Events in which a body was not seen are refused, since
+      the density is one of whole frames.
     * ``next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)``: ``n`` independent next
       frames. ``rng`` starts the same under all hypotheses. Where a body was not seen, ``seen`` is
       NaN, and its positions in the next frames do not count.

@@ -33,17 +33,19 @@ from phase_ppl.world.scene import Scene
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsNoise:
-    """Noise on the dynamics: after each step it disturbs every body's velocity.
+    """Noise on the dynamics: after each step of 1/12 s it disturbs every body's velocity.
 
-    The agents do not know of it: they imagine the dynamics without noise.
+    The agents do not know of the noise: they imagine the dynamics without it.
+
+    Attributes:
+        speed: standard deviation, per step, of the logarithm of the factor on a body's speed.
+        direction: standard deviation, per step, of the turn of a body's direction of motion, rad.
 
     Raises:
         InvalidSettingError: a value is negative or not finite.
     """
 
-    # standard deviation of the log of the factor on the speed, per step of 1/12 s
     speed: float = 0.2
-    # standard deviation of the turn of the direction of motion, rad per step
     direction: float = 0.2
 
     def __post_init__(self) -> None:
@@ -58,20 +60,25 @@ class DynamicsNoise:
 
 
 class Past(NamedTuple):
-    """The states and actions before a simulation goes on."""
+    """The states and actions before a simulation goes on.
 
-    # states of the world at every frame, from the start to the last before it goes on
+    Attributes:
+        states: (time,) state of the world at every frame so far, the start first.
+        actions: (time - 1, agent) action that each agent intended between two frames.
+    """
+
     states: Sequence[State]
-    actions: Sequence[Sequence[Action]]  # of all agents between these frames, as intended
+    actions: Sequence[Sequence[Action]]
 
 
 class JointSimulator:
-    """Agents with limited views that believe, plan, and push each other about.
+    """The paper's simulator (Algorithm 1): agents with limited views believe, plan and push.
 
     Args:
-        planner: "fast", "paper" or a :class:`PlannerConfig`.
-        inner_steps: solver steps per physics substep of the world.
-        noise: on the dynamics; None: no noise.
+        planner: settings of the agents' planner: the name of a preset
+            (:meth:`phase_ppl.PlannerConfig.named`) or a :class:`phase_ppl.PlannerConfig`.
+        inner_steps: number of solver steps per physics substep, a fifth of a frame.
+        noise: a ``DynamicsNoise`` on the bodies' velocities; None: no noise.
     """
 
     def __init__(
@@ -85,7 +92,7 @@ class JointSimulator:
         self.noise = noise
 
     def settings(self) -> dict[str, Any]:
-        """Return what determines the simulations, as plain data."""
+        """Return planner, inner steps and noise as plain data, to be stored with a run."""
         return {
             "planner": self.planner.to_dict(),
             "inner_steps": self.inner_steps,
@@ -93,13 +100,13 @@ class JointSimulator:
         }
 
     def warm_up(self) -> None:
-        """Compile the kernels of a simulation, or load them from the cache on disk."""
+        """Compile the code of planner and physics, or load it from the cache on disk."""
         run_briefly(JointSimulator(dataclasses.replace(self.planner, simulations=2)))
 
     def __call__(
         self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
     ) -> Iterator[NDArray[np.float64]]:
-        """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
+        """Yield frames (entity, 3) = x, y [units], angle [rad], the start first, without end."""
         return (frame for frame, _ in self.steps(scene, hypothesis, rng))
 
     def steps(
@@ -110,16 +117,20 @@ class JointSimulator:
         past: Past | None = None,
         removed: Collection[int] = (),
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
-        """Yield each frame with the decisions of all agents that led to it; the first has none.
+        """Yield each frame, (entity, 3), with the agents' decisions that led to it.
+
+        The first frame has no decisions.
 
         Args:
-            scene, hypothesis, rng: as for any simulator.
-            past: states and actions so far; None: begin at the scene's start.
-            removed: entities that have left the scene; agents among them decide nothing. The other
-                agents notice only by sight.
+            scene: the start.
+            hypothesis: goals and strengths of all agents.
+            rng: source of all randomness.
+            past: a ``Past``, the states and actions so far; None: begin at the scene's start.
+            removed: indices of entities that have left the scene. Removed agents decide nothing.
+                The other agents notice a removal only by sight.
 
         Raises:
-            InvalidEventError: states of ``past`` belong to another world.
+            InvalidEventError: a state of ``past`` has another number of entities than the scene.
         """
         for state in () if past is None else past.states:
             if state.pose.shape != scene.start.shape:
@@ -204,7 +215,7 @@ def simulate(
     id: str = "simulated",
     overlapping: bool = False,
 ) -> Event:
-    """Simulate an event under a hypothesis; the event has its truth and the agents' thoughts.
+    """Return an event simulated under a hypothesis, with its truth and the agents' thoughts.
 
     Example:
         ``ppl.simulate(ppl.Scene(start, radius), ppl.Hypothesis("Get blue item to red lm",
@@ -214,23 +225,27 @@ def simulate(
 
     Args:
         scene: the start.
-        hypothesis: goals, alphas and strengths, in PHASE. In any world ``goals``, ``relation`` and
+        hypothesis: goals, strengths, and who helps or hinders whom. ``goals``, ``relation`` and
             ``strength`` can take its place.
-        goals: name of an agent -> its own goal, for every agent that neither helps nor hinders.
-        relation: (who, whom) -> "help" or "hinder" with the other's own goal.
-        strength: maximum force by agent's name, or one for all, newtons. Default: 450.
+        goals: name of an agent -> its own goal, a string or an index into ``world.goals``, for
+            every agent that neither helps nor hinders.
+        relation: (name of an agent, name of the agent that it helps or hinders) -> "help" or
+            "hinder"; the paper's alpha, not the relation that follows from two effective goals. By
+            default nobody helps or hinders.
+        strength: maximum force, newtons: name of an agent -> force, or one for all. Default: 450.
         frames: number of frames, 12 per simulated second; frame 0 is the start. Default: 101.
         seed: a whole number >= 0. The same seed gives the same event.
-        planner: "fast", "paper" or a ``PlannerConfig``; only for the package's simulator.
-        simulator: a simulator in place of the package's. Unless it is a ``JointSimulator``, the
-            event has no ``thoughts``.
+        planner: settings of the package's planner: "fast", "paper", "as_printed",
+            "as_printed_fast" (:meth:`phase_ppl.PlannerConfig.named`) or a ``PlannerConfig``.
+        simulator: a simulator in place of the package's; ``planner`` then has no effect. Unless it
+            is a ``JointSimulator``, the event has no ``thoughts``.
         id: name of the event.
-        overlapping: whether bodies may overlap at the start, as in some real videos. They then fly
-            apart.
+        overlapping: whether bodies may overlap by more than 0.25 units at the start, as in some
+            real videos. They then fly apart.
 
     Raises:
-        InvalidSettingError: fewer than 2 frames, or goals and relations that do not fit together.
-        UnknownNameError: there is no such agent or goal.
+        InvalidSettingError: there are fewer than 2 frames, or goals and relations do not fit.
+        UnknownNameError: there is no such agent, goal or planner.
         InvalidEventError: bodies overlap at the start, or stick in a wall; the message says which
             and how deeply.
         SimulationError: the simulator failed.

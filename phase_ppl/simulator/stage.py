@@ -32,17 +32,18 @@ class Stage:
         ``frame = stage.step([ppl.Action.UP, rival.decide()])``, step by step.
 
     Args:
-        scene: the start; also which way agents turn, and whether they stop after each step.
-        strengths: maximum force of each agent, newtons.
-        planner: for agents that act by themselves, "fast", "paper" or a ``PlannerConfig``.
+        scene: the start; it also says which way agents turn, and whether they stop after each step.
+        strengths: (agent,) maximum force of each agent, newtons.
+        planner: settings for agents that act by themselves: the name of a preset
+            (:meth:`phase_ppl.PlannerConfig.named`), such as "fast", or a ``PlannerConfig``.
 
     Attributes:
-        scene: as given.
-        SUBSTEPS: parts of a step, 5.
+        scene: the start.
+        SUBSTEPS: number of substeps of a step, 5.
 
     Raises:
-        InvalidSettingError: a strength is no positive force, or there is not one for each agent;
-            or a body is too small for the speed that the strengths give it.
+        InvalidSettingError: a strength is no positive force, or some agent has none; or a body is
+            too small for the speed that the strengths give it.
         UnknownNameError: there is no such planner.
     """
 
@@ -77,11 +78,12 @@ class Stage:
 
     @property
     def state(self) -> State:
-        """The present state, a copy.
+        """A copy of the present state.
 
-        ``pose`` (entity, 3) is x, y [units] and angle [rad]. ``velocity`` (entity, 2) is in units,
-        ``spin`` (entity,) in rad per simulated second. ``held`` (agent,) is the number of the item
-        that each agent holds, or -1.
+        ``pose`` (entity, 3) is x, y [units] and angle [rad]. ``velocity`` (entity, 2) and ``spin``
+        (entity,) are in units and rad per simulated second. ``held`` (agent,) is the index of the
+        entity that each agent holds, or -1. ``weld`` (agent, 3) is the place of the held item
+        relative to the agent: x, y [units], angle [rad].
         """
         return self._physics.state
 
@@ -89,21 +91,22 @@ class Stage:
         """Advance by one planner step, a twelfth of a simulated second; all agents act.
 
         Args:
-            actions: of each agent, a :class:`phase_ppl.Action`.
+            actions: (agent,) a :class:`phase_ppl.Action` for each agent.
 
         Returns:
-            (entity, 3) x, y [units] and angle [rad, unwrapped], the mean over five substeps: a
-            frame of a trajectory, after ``scene.start``.
+            The next frame of the trajectory, whose first frame is ``scene.start``: (entity, 3) x, y
+            [units] and angle [rad, unwrapped], the mean over the five substeps.
 
         Raises:
-            InvalidSettingError: there is no such action, or not one for each agent.
+            InvalidSettingError: there is no such action, or some agent has none.
         """
         return self._physics.step(self._doing(actions))
 
     def substeps(self, actions: Sequence[int]) -> Iterator[None]:
-        """Do the same as :meth:`step`, and yield after each of the five substeps.
+        """Advance by one planner step, and yield after each of its five substeps.
 
-        The step is done when the iterator is exhausted.
+        The step is done when the iterator is exhausted. For ``actions`` and errors see
+        :meth:`step`.
         """
         return self._physics.substeps(self._doing(actions))
 
@@ -118,10 +121,11 @@ class Stage:
         return whole_number("agent", agent, 0, len(self.scene.world.agents) - 1)
 
     def sees(self, agent: int) -> BoolArray:
-        """Return (entity,) whether an agent observes each entity now.
+        """Return (entity,) whether the agent of index ``agent`` observes each entity now.
 
-        It observes itself, what is in its field of view and not hidden, and what it touches or
-        holds. It also observes what these touch or hold.
+        An agent observes itself, entities in its field of view that nothing hides, and entities
+        that it touches or holds. Along a chain, it also observes what an observed entity touches or
+        holds.
         """
         agent = self._number_of(agent)
         bodies, held, _ = compiled.from_state(self.state, self.scene.radius)
@@ -140,13 +144,14 @@ class Stage:
         """Return an agent that acts by itself, as in the joint simulator.
 
         Args:
-            agent: its number.
-            goals: effective goals of all agents; the agent knows all of them.
-            seed: of its beliefs and searches.
+            agent: index of the agent.
+            goals: (agent,) effective goal of each agent, one of ``world.goals`` or its index there.
+                The agent knows all of them.
+            seed: a whole number >= 0, or a generator, for the agent's beliefs and searches.
 
         Raises:
             UnknownNameError: there is no such goal.
-            InvalidSettingError: there is no such agent, or not a goal for each.
+            InvalidSettingError: there is no such agent, or some agent has no goal.
         """
         agent = self._number_of(agent)
         self._check_each("goals", goals)
@@ -162,9 +167,9 @@ class Planned:
         self._stage, self._agent = stage, agent
 
     def decide(self) -> Action:
-        """Observe the stage as it is now, and return the action of the coming step.
+        """Observe the stage as it is now, and return the agent's action for the coming step.
 
-        Call it once a step: it remembers what it has seen and done before.
+        Call it once a step: the agent remembers what it has seen and done before.
         """
         seen = compiled.from_state(self._stage.state, self._stage.scene.radius)
         return self._agent.decide(*seen).action

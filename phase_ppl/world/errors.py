@@ -1,8 +1,9 @@
 """The exceptions that the package raises on purpose, and the checks of settings that raise them.
 
-All derive from :class:`PhasePPLError`. Errors about a value also derive from ``ValueError``, so
-that code without knowledge of this package still catches them. The terminal prints each in one
-line. An application that calls the checks refuses settings in the same words.
+Every exception derives from :class:`PhasePPLError`. Exceptions about a value also derive from
+``ValueError``, so code that does not know this package still catches them. The command line prints
+an exception in one line. An application can call the checks, such as :func:`whole_number`: it then
+refuses settings in the same words as the package.
 """
 
 from __future__ import annotations
@@ -41,27 +42,29 @@ _PATH_CHARACTERS = 400
 
 
 class PhasePPLError(Exception):
-    """Base of all errors of this package."""
+    """Base of all exceptions of this package."""
 
 
 class InvalidEventError(PhasePPLError, ValueError):
-    """An event, scene or trajectory that cannot be used; the message names the bad value."""
+    """An event, scene, trajectory or input file cannot be used. The message names the bad value."""
 
 
 class UnknownNameError(PhasePPLError, ValueError):
-    """A name that is none of the allowed ones; the message lists close matches."""
+    """A name is none of the allowed ones. The message lists close matches, if there are any."""
 
 
 class InvalidSettingError(PhasePPLError, ValueError):
-    """A setting outside its allowed range; the message names the range."""
+    """A setting has a value that is not allowed. The message says what is expected."""
 
 
 class QueryError(PhasePPLError, ValueError):
-    """A question in words that cannot be read or answered; the message points at the place.
+    """A question to a posterior, in words, cannot be read or answered.
+
+    The message has the reason, the question, and a mark below the place where it goes wrong.
 
     Attributes:
         reason: what is wrong, in one line.
-        position: index of the character where the question goes wrong.
+        position: index, in the question, of the character where it goes wrong.
     """
 
     def __init__(self, reason: str, question: str, position: int) -> None:
@@ -81,27 +84,27 @@ class QueryError(PhasePPLError, ValueError):
 
 
 class AnswerError(PhasePPLError, RuntimeError):
-    """A model or service gave no usable answer; the message says why."""
+    """A model or service gave no usable answer. The message says why."""
 
 
 class OutputError(PhasePPLError, OSError):
-    """A result that cannot be written to the requested path."""
+    """A result cannot be written to the requested path, or another process is writing there."""
 
 
 class SimulationError(PhasePPLError, RuntimeError):
-    """A simulation that failed; the message names the hypothesis and the seed.
+    """A simulation failed, or simulations could not be run. The message says which and why.
 
     Attributes:
-        posterior: the result so far, if a run had begun before it failed.
+        posterior: posterior of the run so far; None if the failure came before the run had one.
     """
 
     posterior: Any = None
 
 
 def check_name(what: str, name: object, allowed: Collection[str]) -> None:
-    """Raise UnknownNameError unless ``name`` is one of the allowed ones.
+    """Raise UnknownNameError unless ``name`` is one of the ``allowed`` names.
 
-    The message calls it ``what``, and names close matches.
+    The message calls the name a ``what``, such as "goal", and lists close matches.
     """
     # other objects may compare in their own way, as arrays do
     if not isinstance(name, str) or name not in allowed:
@@ -109,7 +112,11 @@ def check_name(what: str, name: object, allowed: Collection[str]) -> None:
 
 
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
-    """Return the error for ``name``; it lists close matches or, if there are few, all names."""
+    """Return the error for a ``name`` that is none of the ``allowed`` ones.
+
+    Its message calls the name a ``what``. It lists up to four close matches. If none is close, it
+    lists all allowed names, or one example of more than 20.
+    """
     names = list(allowed)
     text = name if isinstance(name, str) else shown(name)
     wanted = text[:_SHOWN_CHARACTERS].lower()
@@ -129,7 +136,7 @@ def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownName
 
 
 def shown(value: object) -> str:
-    """Return ``value`` as an error message shows it: one line, shortened if long."""
+    """Return ``value`` as an error message shows it: its ``repr`` in one line, cut if long."""
     try:
         text = " ".join(repr(value).splitlines())
     except Exception:  # of a number of thousands of digits, or an object of somebody's own
@@ -138,7 +145,7 @@ def shown(value: object) -> str:
 
 
 def shown_path(path: str | os.PathLike[str]) -> str:
-    """Return a path as an error message shows it: shortened if long, odd characters escaped."""
+    """Return a path as an error message shows it: cut if long, unprintable characters escaped."""
     text = os.fspath(path)
     if len(text) > _PATH_CHARACTERS:
         text = f"{text[: _SHOWN_CHARACTERS - 3]}... ({len(text)} characters)"
@@ -152,7 +159,7 @@ MOST_WORKERS: Final = 1024
 
 
 def number_or_nan(value: object) -> float:
-    """Return ``value`` as a float; NaN if it is no number, or too large for a float."""
+    """Return ``value`` as a float; NaN if it is a boolean, no number, or too large for a float."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):  # of a whole number of hundreds of digits
             return float(value)
@@ -160,10 +167,11 @@ def number_or_nan(value: object) -> float:
 
 
 def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
-    """Return ``value`` as an int if it is a whole number within limits; NumPy's count too.
+    """Return ``value`` as an int. NumPy's whole numbers are accepted too.
 
     Raises:
-        InvalidSettingError: it is not; the message calls it ``name``.
+        InvalidSettingError: the value is no whole number from ``minimum`` to ``maximum``. The
+            message calls it ``name``.
     """
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
@@ -207,7 +215,7 @@ def check_memory(what: str, n_bytes: float) -> None:
 
 
 def instance_of(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
-    """Raise InvalidSettingError unless ``value`` is an instance of ``kind``."""
+    """Raise InvalidSettingError ("name=value, expected ...") unless ``value`` is a ``kind``."""
     if not isinstance(value, kind):
         raise InvalidSettingError(f"{name}={shown(value)}, expected {expected}")
 
@@ -224,7 +232,7 @@ def check_fields(
 
 
 def positive_number(name: str, value: object) -> float:
-    """Return ``value`` as a float (InvalidSettingError: it is no finite number above 0)."""
+    """Return the setting ``name`` as a float (InvalidSettingError: no finite number above 0)."""
     number = number_or_nan(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
@@ -232,7 +240,7 @@ def positive_number(name: str, value: object) -> float:
 
 
 def nonnegative_number(name: str, value: object) -> float:
-    """Return ``value`` as a float (InvalidSettingError: it is no finite number of at least 0)."""
+    """Return the setting ``name`` as a float (InvalidSettingError: no finite number >= 0)."""
     number = number_or_nan(value)
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")

@@ -47,15 +47,21 @@ from phase_ppl.world.tracks import (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class State:
-    """Poses, velocities and holds of all entities."""
+    """Poses, velocities and holds of all entities at one moment.
 
-    pose: NDArray[np.float64]  # (entity, 3) x, y of the body origin [units], angle [rad]
-    # (entity, 2) velocity of the centre of mass, units per simulated second
+    Attributes:
+        pose: (entity, 3) x, y of each body's origin [units], angle [rad].
+        velocity: (entity, 2) velocity of each centre of mass, units per simulated second.
+        spin: (entity,) angular velocity, rad per simulated second.
+        held: (agent,) index of the entity that each agent holds; -1: nothing.
+        weld: (agent, 3) place of the held item: x, y of its centre relative to the agent's centre
+            of mass, in the agent's frame [units], and its angle relative to the agent [rad].
+    """
+
+    pose: NDArray[np.float64]
     velocity: NDArray[np.float64]
-    spin: NDArray[np.float64]  # (entity,) angular velocity, rad per simulated second
-    held: NDArray[np.int64]  # (agent,) entity index of the item each agent holds, or ``NOTHING``
-    # (agent, 3) while an agent holds an item: x, y of the item's centre in the agent's frame about
-    # its centre of mass [units]; angle of the item relative to the agent [rad]
+    spin: NDArray[np.float64]
+    held: NDArray[np.int64]
     weld: NDArray[np.float64]
 
     @classmethod
@@ -74,7 +80,7 @@ class State:
 # --- what an observer sees: the entities' trajectories, and nothing else --------------------------
 
 SHOWN_SECONDS_PER_FRAME: Final = 0.25
-"""Playback time of one frame: three times slower than simulated time."""
+"""Seconds that a film takes for a frame. A frame is 1/12 simulated second: a third of its speed."""
 
 MIN_FRAMES: Final = 2
 
@@ -89,16 +95,16 @@ class Observation:
     """Observed trajectories of all entities of a world.
 
     Attributes:
-        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped].
-            Frame 0 is the start. Frame k is the mean over the five substeps of planner step k,
-            which takes a twelfth of a second. :meth:`at_rate` and :meth:`at_times` read other
-            frames. NaN says that a body was not seen in a frame: all its three numbers, or its
-            angle alone.
-        said: what was done to tracks to make these, in words; "": nothing.
+        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped];
+            entities in the order of ``world.entities``. Frame 0 is the start. Frame k is the mean
+            over the five substeps of planner step k, which takes a twelfth of a simulated second.
+            :meth:`at_rate` and :meth:`at_times` convert frames at other rates. NaN means that a
+            body was not seen in a frame (all its three numbers are NaN), or that its angle was not.
+        said: how the trajectory was made from tracks, in words; "" if nothing was done to them.
 
     Raises:
-        InvalidEventError: fewer than 2 frames, a wrong shape, an infinite value, or a body of which
-            one coordinate is NaN.
+        InvalidEventError: the trajectory has fewer than 2 frames, a wrong shape, an infinite value,
+            or a NaN in x or y of a body whose other numbers are known.
     """
 
     trajectory: NDArray[np.float64]
@@ -118,16 +124,18 @@ class Observation:
 
     @classmethod
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
-        """Return the observation for frames at another rate, such as a tracker's or a game's.
+        """Return the observation made of frames at any rate, such as a tracker's or a game's.
 
-        Bodies move straight between frames. At 60 a second, each frame here is the mean of five.
+        Bodies are taken to move straight between given frames. From 60 frames a second, each frame
+        of the observation is the mean of five.
 
         Args:
             trajectory: (time, entity, coord) x, y [units], angle [rad]; frame 0 is the start.
-            fps: frames per second of simulated time.
+            fps: number of given frames per simulated second.
 
         Raises:
-            InvalidEventError: as for the class, or the frames last less than a twelfth of a second.
+            InvalidEventError: the class refuses the trajectory, or the frames last less than a
+                twelfth of a second.
             InvalidSettingError: ``fps`` is no positive number.
         """
         rate = positive_number("fps", fps)
@@ -138,20 +146,21 @@ class Observation:
 
     @classmethod
     def at_times(cls, trajectory: ArrayLike, times: ArrayLike, gap: float = GAP) -> Observation:
-        """Return the observation for frames with time stamps, as sensors give them.
+        """Return the observation made of frames with time stamps, as sensors give them.
 
-        The first frame is the start. After it there is a frame for every twelfth of a second, the
-        mean over that time. Bodies move straight between two time stamps. A body is unseen where
-        time stamps are more than ``gap`` apart, or where it is not seen at one of them.
+        The first frame is the start. Every later frame of the observation is the mean over the
+        twelfth of a second before it. Bodies are taken to move straight between two time stamps. A
+        body counts as unseen between two time stamps if these are more than ``gap`` apart, or if it
+        was not seen at one of the two.
 
         Args:
             trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN: not seen.
-            times: (time,) simulated seconds, ascending.
-            gap: seconds. Default: 0.25.
+            times: (time,) time stamp of each frame, simulated seconds, ascending.
+            gap: longest time between two time stamps that is bridged, seconds. Default: 0.25.
 
         Raises:
-            InvalidEventError: as for the class; or times do not ascend, are more than an hour
-                apart, or their number is not that of the frames.
+            InvalidEventError: the class refuses the trajectory; or times do not ascend, two of them
+                are more than an hour apart, or their number is not that of the frames.
             InvalidSettingError: ``gap`` is no positive number.
         """
         given = finite_array("trajectory", trajectory, (None, None, 3), unseen=True)
@@ -181,39 +190,40 @@ class Observation:
         ahead: tuple[str, str] | None = None,
         least_sure: float = 0.6,
     ) -> Observation:
-        """Return the observation for tracks of another program; ``.said`` says what was done.
+        """Return the observation made of another program's tracks.
 
-        If a body has several points, such as the parts that a pose tracker marks, their mean
-        counts.
+        Its attribute ``said`` lists what was done to the tracks. If a track has several points,
+        such as the parts that a pose tracker marks, the body is at their mean.
 
         Args:
-            tracks: a pandas table, or an array (time, entity, [x, y] or [x, y, angle]) in the
-                world's order of entities. A long table has columns track (or id), frame or time, x,
-                y and perhaps angle. A wide table has x and y of each track, such as ``red_x`` or
+            tracks: a pandas table, or an array (time, entity, [x, y] or [x, y, angle]) in the order
+                of ``world.entities``. A long table has columns track (or id), frame or time, x, y
+                and perhaps angle. A wide table has x and y of each track, such as ``red_x`` or
                 ``x1``, or columns with levels. Column names of TrackMate, idtracker.ai, DeepLabCut
-                and SLEAP are known. Angles are radians, counter-clockwise on the screen; 0 looks
-                up.
-            world: the world; each of its entities must have a track.
-            names: name of a track -> entity; by default tracks have the names of entities.
-            fps: frames per second of simulated time; not needed if there are times.
+                and SLEAP are recognised. Angles are radians, counter-clockwise on the screen; 0
+                looks up.
+            world: the world of the tracks; each of its entities must have a track.
+            names: name of a track -> name of its entity; by default the two names are equal.
+            fps: number of tracked frames per simulated second; not needed if tracks have times.
             units: world units per unit of the tracks, such as per pixel.
-            y_down: whether y grows downwards, as in pictures.
-            origin: (x, y) of the tracks' origin in the world, units; by default (0, 0), or the
-                arena's upper left corner if y grows downwards.
-            gap: gaps of up to this many seconds are filled linearly; 0 fills none. Longer gaps
-                stay. Default: 0.25.
+            y_down: whether the tracks' y grows downwards, as in pictures.
+            origin: (x, y) in the world, units, of the tracks' point (0, 0). By default (0, 0), or
+                the arena's upper left corner if y grows downwards.
+            gap: longest gap in a track that is filled linearly, seconds; 0: none. In longer gaps
+                the body counts as unseen. Default: 0.25.
             angles: angles of agents whose tracks have none: "unseen", or "heading", the direction
                 of motion. Agents can move in any direction without turning, so a heading often
                 jumps faster than an agent can turn, and no action explains it. With "unseen" the
                 first frame gets the heading as a placeholder, which inference ignores.
-            ahead: two parts of a body. Their line, from the first to the second, gives the angle.
-            least_sure: points below this confidence count as not seen. It is the other program's
-                own confidence, in a column "likelihood", "score" or "confidence". Default: 0.6.
+            ahead: names of two parts that a pose tracker marks on each body, such as (tail, head).
+                The line from the first to the second gives the body's angle.
+            least_sure: points whose confidence is below this count as not seen. Confidences are the
+                other program's, in a column "likelihood", "score" or "confidence". Default: 0.6.
 
         Raises:
-            InvalidEventError: the table lacks something, or as for the class.
-            InvalidSettingError, UnknownNameError: a value that cannot be used, or tracks and
-                entities do not match.
+            InvalidEventError: the table lacks a needed column, or the class refuses the trajectory.
+            InvalidSettingError, UnknownNameError: a value cannot be used, or tracks and entities do
+                not match.
         """
         check_name("angles", angles, ("unseen", "heading"))
         instance_of("world", world, World, "a phase_ppl.World")
@@ -273,19 +283,20 @@ class Observation:
 
     @property
     def start(self) -> NDArray[np.float64]:
-        """(entity, 3): x, y [units], angle [rad] where each was seen first; NaN: never."""
+        """(entity, 3) x, y [units], angle [rad], each as first seen; NaN if never seen."""
         first = (~np.isnan(self.trajectory)).argmax(axis=0)
         return np.take_along_axis(self.trajectory, first[None], axis=0)[0]
 
     @property
     def has_gaps(self) -> bool:
-        """Whether a body or an angle was not seen in some frame."""
+        """Whether some body or angle was not seen in some frame."""
         return bool(np.isnan(self.trajectory).any())
 
     def filled(self) -> Observation:
-        """Return the observation with straight lines where a body or an angle was not seen.
+        """Return the observation with all gaps filled.
 
-        Before it was seen first and after it was seen last it does not move.
+        Within a gap, the body or angle changes linearly. Before it is first seen and after it is
+        last seen, it stays as it was then.
 
         Raises:
             InvalidEventError: a body or an angle was never seen.
@@ -306,7 +317,10 @@ class Observation:
         return Observation(filled, f"{self.said}; {said}" if self.said else said)
 
     def whole(self, what: str) -> Observation:
-        """Return the observation if all was seen in it, as ``what`` needs it.
+        """Return this observation, or raise an error if it has gaps.
+
+        Args:
+            what: what needs an observation without gaps, for the error's message.
 
         Raises:
             InvalidEventError: a body or an angle was not seen in some frame.
@@ -321,29 +335,33 @@ class Observation:
 
     @property
     def n_frames(self) -> int:
+        """Number of frames, the start included."""
         return len(self.trajectory)
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """(time, entity, 2): x, y, units."""
+        """Positions (x, y) of all bodies, (time, entity, 2), units."""
         return self.trajectory[..., :2]
 
     @property
     def angles(self) -> NDArray[np.float64]:
-        """(time, entity): radians."""
+        """Angles of all bodies, (time, entity), rad."""
         return self.trajectory[..., 2]
 
     def until(self, seconds: float) -> Observation:
-        """Return what the film has shown after so many of its seconds, at least two frames.
+        """Return the frames that the film shows until ``seconds``, at least two, as an observation.
 
-        Frames between two are drawn in the film, but come from both of them.
+        A film also has pictures between two frames. They do not count, since they come from both.
+
+        Args:
+            seconds: time since the film began, seconds of the film (0.25 per frame).
         """
         shown = max(frame_shown(seconds) + 1, MIN_FRAMES)
         return Observation(self.trajectory[:shown], self.said)
 
     @property
     def duration(self) -> str:
-        """The duration, in words."""
+        """Number of frames and duration [simulated s], in words."""
         seconds = (self.n_frames - 1) / FRAMES_PER_SECOND
         return f"{self.n_frames} frames ({seconds:.1f} simulated s)"
 
@@ -360,26 +378,35 @@ class Observation:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Thoughts:
-    """What all agents thought; step k is decided at frame k and leads to frame k + 1."""
+    """What all simulated agents thought. Step k is decided at frame k and leads to frame k + 1.
 
-    subgoals: tuple[tuple[Literal, Literal], ...]  # (step, agent) what each was about
-    actions: IntArray  # (step, agent) what it did, an index into the names of actions
-    # (step, agent) share of its belief particles in which that was the subgoal
+    Attributes:
+        subgoals: (step, agent) the subgoal of each agent, a ``phase_ppl.goals.Literal``.
+        actions: (step, agent) the action of each agent, a number of ``phase_ppl.Action``.
+        agreeing: (step, agent) share of the agent's belief particles that have its subgoal.
+        seen: (step, agent, entity) whether the agent observed the entity.
+        held: (step, agent) index of the entity that the agent held; -1: nothing.
+        particles: (step, agent, particle, entity, [x, y, angle]) belief particles, units and rad.
+    """
+
+    subgoals: tuple[tuple[Literal, Literal], ...]
+    actions: IntArray
     agreeing: FloatArray
-    seen: BoolArray  # (step, agent, entity) whether it had the entity in view
-    held: IntArray  # (step, agent) the item that it held, or ``NOTHING``
-    # (step, agent, particle, entity, [x, y, angle]) its beliefs, units and radians
+    seen: BoolArray
+    held: IntArray
     particles: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """What generated an event of PHASE: effective goals and, if known, strengths and relation.
+    """What generated an event of PHASE: effective goals, relation and, if known, strengths.
 
     Attributes:
-        goal_red, goal_green: effective goals, paper strings.
-        relation, scenario: by default they follow from the goals.
-        strength_red, strength_green: newtons, or None.
+        goal_red, goal_green: effective goal of the red and the green agent, one of ``GOALS``.
+        relation: "friendly", "neutral" or "adversarial"; by default it follows from the goals.
+        scenario: "collaborative", "independent", "competing" or "opposing"; by default it follows
+            from the goals.
+        strength_red, strength_green: maximum force of the agent, newtons; None: unknown.
 
     Raises:
         UnknownNameError: a goal, relation or scenario is unknown.
@@ -414,20 +441,24 @@ class Truth:
 
     @property
     def strengths(self) -> tuple[float | None, ...]:
-        """(agent,) newtons, or None."""
+        """Strength of each agent, (agent,), newtons; None: unknown."""
         return self.strength_red, self.strength_green
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, as files have it."""
+        """Return plain data, as in event files.
+
+        Keys are ``goals`` and ``strengths``, both by name of agent, ``relation`` and ``scenario``.
+        """
         forces = dict(zip(AGENTS, self.strengths, strict=True))
         told = {"relation": self.relation, "scenario": self.scenario}
         return {"goals": self.goals, **told, "strengths": forces}
 
     @classmethod
     def of(cls, hypothesis: Hypothesis) -> Truth | Hypothesis:
-        """Return the truth of an event that was generated under a hypothesis.
+        """Return the truth of an event that was generated under ``hypothesis``.
 
-        In PHASE it has effective goals and strengths; in other worlds it is the hypothesis.
+        In PHASE it is a ``Truth`` with the hypothesis's effective goals and strengths. In another
+        world it is the hypothesis itself.
         """
         if truth_class(hypothesis.world) is not cls:
             return hypothesis
@@ -447,15 +478,21 @@ class Event:
 
     Attributes:
         scene: what is known before anybody moves.
-        observation: the trajectories.
+        observation: trajectories of all entities.
         id: name of the event; inference ignores it.
-        truth: what generated it, if known: a ``Truth`` in PHASE, a ``Hypothesis`` in another world.
-        judgments: human judgments, as read from the file.
-        predictions: stored predictions of other models, as read from the file.
-        thoughts: the agents' thoughts, for freshly simulated events only; not in files.
+        truth: what generated the event: a ``Truth`` in PHASE, a ``Hypothesis`` in another world;
+            None: unknown.
+        judgments: people's answers about the event, as its file has them.
+            ``phase_ppl.Judgments.of(event)`` reads them.
+        predictions: other models' predictions, as the event's file has them: name of a model ->
+            prediction. ``phase_ppl.reference_predictions([event])`` reads them.
+        thoughts: what the agents of an event from :func:`phase_ppl.simulate` thought; None for
+            other events. Files do not keep it.
 
     Raises:
-        InvalidEventError: the trajectory leaves the arena.
+        InvalidEventError: the trajectory leaves the arena, or has another number of entities than
+            the world.
+        InvalidSettingError: ``scene``, ``observation`` or ``truth`` is of the wrong class.
     """
 
     scene: Scene

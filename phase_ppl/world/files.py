@@ -39,15 +39,19 @@ _PATH_BYTES: Final = 4095
 
 @contextlib.contextmanager
 def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[Path]:
-    """Yield a fresh path beside ``path``; its file replaces ``path`` when the block ends.
+    """Yield the path of a new, empty file, which replaces ``path`` when the block ends.
 
-    If the block raises, ``path`` stays as it was and the new file is deleted. Before the block
-    begins, the folder must be writable and the name must end in one of ``suffixes``. The new file
-    is on the disk before it replaces the old one.
+    The block writes into the new file. If the block raises, ``path`` stays as it was and the new
+    file is deleted. The new file is on the disk before it replaces the old one.
+
+    Args:
+        path: the file to write.
+        suffixes: allowed endings of its name, in lower case, such as (".json",).
 
     Raises:
-        OutputError: it cannot be written, or nothing was.
-        InvalidSettingError: it is no path.
+        OutputError: before the block: the folder cannot be written, or the name has another ending.
+            After it: the file cannot be written, or the block wrote nothing.
+        InvalidSettingError: ``path`` is no path, or a name that no file can have.
     """
     with _part_of(target := as_path(path), suffixes) as part:
         yield part
@@ -59,13 +63,16 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
 
 
 def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: bytes) -> None:
-    """Write a file, whole or not at all; otherwise as :func:`atomic_output`."""
+    """Write ``content`` to ``path``, whole or not at all. See :func:`atomic_output` for errors."""
     with atomic_output(path, suffixes) as part:
         part.write_bytes(content)
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all; otherwise as :func:`atomic_output`."""
+    """Write ``record`` to the .json file ``path``. See :func:`atomic_output` for errors.
+
+    The file is written whole or not at all (ValueError: a number is not finite).
+    """
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (".json",), f"{text}\n".encode())
 
@@ -82,7 +89,7 @@ def as_path(path: object) -> Path:
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` (InvalidEventError: there is no such file)."""
+    """Return ``path`` as a Path (InvalidEventError: there is no such file)."""
     source = as_path(path)
     if not source.is_file():
         raise InvalidEventError(f"{shown_path(source)}: no such file")
@@ -96,7 +103,7 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder unless it exists; return it (OutputError: it cannot be written)."""
+    """Create the folder ``path`` unless it exists; return it (OutputError: it is not writable)."""
     folder = as_path(path)
     with refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -107,13 +114,13 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Lock a folder, or a file that does not exist yet, to this process during the block.
+    """Lock a folder, or a file that may not exist yet, to this process during the block.
 
-    None: nothing is locked. The lock ends with the process, even if that crashes. File systems
-    without locks give none.
+    The lock ends with the process, even if the process crashes. Nothing is locked on file systems
+    without locks, or if ``path`` is None.
 
     Raises:
-        OutputError: another process has it.
+        OutputError: another process holds the lock, or the lock's own file cannot be written.
     """
     if path is None:
         yield

@@ -1,11 +1,11 @@
-"""The paper's 36 goals, and effective goals: what an agent acts on.
+"""The paper's 36 goals, goals of other worlds, and effective goals.
 
-A goal is a string of the paper or its index in :data:`GOALS`. An *effective* goal is what
-the agent acts on: its own goal, the other's (helping, alpha > 0) or the negation of the
-other's (hindering, alpha < 0).
+A goal is given as a string, such as "Get pink item to red lm", or as its index in ``world.goals``
+(in PHASE :data:`GOALS`). An *effective* goal is what an agent acts on: its own goal, the other
+agent's goal (helping, alpha > 0) or the negation of the other agent's goal (hindering, alpha < 0).
 
-What a goal makes true is a literal: ``is_true(goal_literal(goal, agent, world), poses, scene)``
-says whether it is reached.
+A goal makes a literal true: ``is_true(goal_literal(goal, agent, world), poses, scene)`` says
+whether the goal is reached.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from phase_ppl.world.scene import PHASE, Scene, World
 __all__ = ["GOALS", "Literal", "goal_literal", "is_true", "possible_goals"]
 
 GOALS: Final = PHASE.goals
-"""The goal space of the paper, in the order of its data: 32 about landmarks, 4 about agents."""
+"""The 36 goals of PHASE, in the order of the paper's data: 32 about landmarks, 4 about agents."""
 
 N_GOALS: Final = len(GOALS)
 
@@ -35,12 +35,13 @@ def goal_index(goal: str | int, world: World = PHASE) -> int:
 def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
     """Return the literal that makes ``goal`` true for the agent ``holder``.
 
-    A goal that names its own holder ("get to red agent" held by red) has subject = target.
+    If a goal names its own holder ("get to red agent" held by red), subject and target of the
+    literal are equal.
 
     Args:
-        goal: of the world, or its index.
-        holder: number of an agent.
-        world: whose goals.
+        goal: one of ``world.goals``, or its index there.
+        holder: index of the agent that has the goal.
+        world: the world of agent and goal.
 
     Raises:
         UnknownNameError: the world has no such goal.
@@ -87,7 +88,13 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
 
 
 def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
-    """Whether a goal's literal is true at (entity, coord) poses x, y [units], angle [rad]."""
+    """Whether a literal of :func:`goal_literal` is true.
+
+    Args:
+        literal: the literal.
+        poses: (entity, coord) x, y [units], angle [rad] of all entities.
+        scene: sizes, landmarks and walls.
+    """
     subject, target = literal.subject, literal.target
     if literal.predicate is PredicateKind.USERS:
         found = bool(scene.world.predicates[target].holds(poses, scene))
@@ -135,7 +142,10 @@ def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> boo
 
 
 def possible_goals(holder: int, world: World = PHASE) -> list[int]:
-    """Return the goals that an agent can have, indices into those of the world."""
+    """Return the goals that the agent of index ``holder`` can have, indices into ``world.goals``.
+
+    Goals of touching that name the agent itself, such as "get to red agent" for red, are left out.
+    """
     return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
 
 

@@ -92,7 +92,9 @@ RELATION_TABLE: Final = np.array(
 """(goal_red, goal_green) -> index into :data:`RELATIONS`."""
 
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
-"""Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
+"""Possible alphas in PHASE: (what red does to green, what green does to red).
+
+1: helps; -1: hinders; 0: neither. The site ``alpha`` of a prior is an index into this tuple."""
 
 
 @functools.cache
@@ -199,22 +201,24 @@ class Hypothesis(Printed):
     goal. ``Hypothesis(...)`` makes a hypothesis about PHASE. :meth:`of` makes one about any world.
 
     Args:
-        goal_red: stated goal of the red agent, a goal's name or an index into ``GOALS``.
-        goal_green: stated goal of the green agent, likewise.
-        alpha: (alpha red -> green, alpha green -> red), one of ``ALPHAS``. 1: the first helps the
-            second; -1: it hinders it; 0: neither. Default: (0, 0).
+        goal_red: stated goal of the red agent, a string of ``GOALS`` or an index into it.
+        goal_green: stated goal of the green agent, a string of ``GOALS`` or an index into it.
+        alpha: one of ``ALPHAS``: (what red does to green, what green does to red), 1 for helping,
+            -1 for hindering, 0 for neither. Default: (0, 0).
         strength_red: maximum force of the red agent, newtons. Default: 450.
         strength_green: maximum force of the green agent, newtons. Default: 450.
 
     Attributes:
-        world: the world that agents and goals are of.
-        stated: (agent,) own goal of each, an index into ``world.goals``. The own goal of an agent
-            that helps or hinders has no effect, and may be None. ``goal_<agent>``, such as
-            ``goal_red``, is that of one agent; the names are ``world.keys``. For None it gives the
-            goal of the agent that is helped or hindered, as the agent's own.
-        towards: (agent,) None, or (other agent, sign): 1 if it helps that agent, -1 if it hinders
-            it.
-        strengths: (agent,) maximum forces, newtons. ``strength_<agent>`` is that of one agent.
+        world: the world of agents and goals.
+        stated: (agent,) own goal of each agent, an index into ``world.goals``. The own goal of an
+            agent that helps or hinders has no effect, and may be None. ``goal_<agent>``, such as
+            ``goal_red``, is the own goal of one agent; ``world.keys`` has the agents' short names.
+            Where ``stated`` has None, ``goal_<agent>`` is the goal that the agent would have if it
+            helped the agent that it helps or hinders.
+        towards: (agent,) whom each agent helps or hinders: a pair of that agent's index and 1 for
+            helping, -1 for hindering; or None.
+        strengths: (agent,) maximum force of each agent, newtons. ``strength_<agent>``, such as
+            ``strength_red``, is that of one agent.
 
     Raises:
         UnknownNameError: a goal is unknown.
@@ -258,7 +262,7 @@ class Hypothesis(Printed):
         towards: Towards,
         strengths: tuple[float, ...],
     ) -> Hypothesis:
-        """Return the hypothesis with these attributes, unchecked."""
+        """Return the hypothesis that has the arguments as its attributes. They are not checked."""
         made = cls.__new__(cls)
         vars(made).update(world=world, stated=stated, towards=towards, strengths=strengths)
         return made
@@ -271,13 +275,15 @@ class Hypothesis(Printed):
         relation: Mapping[tuple[str, str], str] | None = None,
         strength: Mapping[str, float] | float = STRENGTH,
     ) -> Hypothesis:
-        """Return the hypothesis given by names.
+        """Return a hypothesis about any world, given by names.
 
         Args:
-            world: the world that agents and goals are of.
+            world: the world of agents and goals.
             goals: name of an agent -> its own goal, for every agent that neither helps nor hinders.
-            relation: (who, whom) -> "help" or "hinder"; by default nobody does.
-            strength: maximum force by agent's name, or one for all, newtons. Default: 450.
+            relation: (name of an agent, name of the agent that it helps or hinders) -> "help" or
+                "hinder". By default nobody helps or hinders.
+            strength: maximum force, newtons: name of an agent -> force, or one force for all
+                agents. Agents that are not named have 450.
 
         Raises:
             UnknownNameError: there is no such agent, goal or relation.
@@ -327,33 +333,39 @@ class Hypothesis(Printed):
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
-        """(agent,) what each acts on, an index into ``world.goals``."""
+        """Effective goal of each agent, (agent,), an index into ``world.goals``."""
         stated = [0 if goal is None else goal for goal in self.stated]
         ways = enumerate(self.towards)
         return tuple(effective_goal(stated, agent, way, self.world) for agent, way in ways)
 
     @property
     def is_possible(self) -> bool:
-        """Whether what each would act on is a goal of the world."""
+        """Whether the effective goals of all agents are goals of the world."""
         try:
             return bool(self.effective_goals)
         except UnknownNameError:
             return False
 
     def effective(self) -> Hypothesis:
-        """Return the same with effective goals as stated ones, and nobody who helps or hinders."""
+        """Return the hypothesis in which effective goals are stated, and nobody helps or hinders.
+
+        World and strengths stay. The agents of both hypotheses act alike.
+        """
         nobody = (None,) * len(self.towards)
         return self.coded(self.world, self.effective_goals, nobody, self.strengths)
 
     @property
     def goals(self) -> dict[str, str]:
-        """Name of an agent -> its effective goal."""
+        """Name of each agent -> its effective goal, a string."""
         found = (self.world.goals[goal] for goal in self.effective_goals)
         return dict(zip(self.world.agents, found, strict=True))
 
     @property
     def stances(self) -> dict[tuple[str, str], str]:
-        """(who, whom) -> "help" or "hinder", of those who do."""
+        """(name of an agent, name of the agent that it helps or hinders) -> "help" or "hinder".
+
+        Agents that neither help nor hinder are left out.
+        """
         agents = self.world.agents
         return {
             (agents[who], agents[towards[0]]): _WORD_OF_SIGN[towards[1]]
@@ -362,29 +374,40 @@ class Hypothesis(Printed):
         }
 
     def relation_between(self, one: str, other: str) -> str:
-        """Return "friendly", "neutral" or "adversarial", of the effective goals of two agents."""
+        """Return the relation of two agents: "friendly", "neutral" or "adversarial".
+
+        It follows from their effective goals. ``one`` and ``other`` are the agents' names
+        (UnknownNameError: there is no such agent).
+        """
         return RELATION_OF_SCENARIO[self.scenario_between(one, other)]
 
     def scenario_between(self, one: str, other: str) -> str:
-        """Return "collaborative", "independent", "competing" or "opposing", likewise."""
+        """Return the scenario of two agents, given by name; it follows from their effective goals.
+
+        It is "collaborative", "independent", "competing" or "opposing" (UnknownNameError: there is
+        no such agent).
+        """
         pair = self.world.agent(one), self.world.agent(other)
         goal, other_goal = (self.effective_goals[agent] for agent in pair)
         return scenario(goal, other_goal, self.world, pair)
 
     @property
     def alpha(self) -> tuple[int, int]:
-        """Signs of (alpha one -> other, alpha other -> one), of two agents."""
+        """In a world of two agents: (what the first does to the second, and the second to it).
+
+        1: helps; -1: hinders; 0: neither. AttributeError: the world does not have two agents.
+        """
         to_other, to_one = (0 if one is None else one[1] for one in self._of_two(self.towards))
         return to_other, to_one
 
     @property
     def relation(self) -> str:
-        """:meth:`relation_between` two agents."""
+        """Relation of the agents in a world of two agents, as in :meth:`relation_between`."""
         return self.relation_between(*self._of_two(self.world.agents))
 
     @property
     def scenario(self) -> str:
-        """:meth:`scenario_between` two agents."""
+        """Scenario of the agents in a world of two agents, as in :meth:`scenario_between`."""
         return self.scenario_between(*self._of_two(self.world.agents))
 
     def _of_two(self, each: Sequence[Any]) -> Sequence[Any]:
@@ -422,7 +445,12 @@ class Hypothesis(Printed):
         return dict(zip(names, [*goals, list(self.alpha), *self.strengths], strict=True))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, which :meth:`from_dict` reads: names, strengths in newtons."""
+        """Return the hypothesis as plain data, which :meth:`from_dict` reads.
+
+        In PHASE the keys are the arguments of ``Hypothesis``, with goals as strings. In other
+        worlds they are ``goals``, by agent, ``relation``, a list of [who, whom, word], and
+        ``strengths``, by agent.
+        """
         if (made := self._arguments) is not None:
             return made
         agents, goals = self.world.agents, self.world.goals
@@ -435,11 +463,11 @@ class Hypothesis(Printed):
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], world: World = PHASE) -> Hypothesis:
-        """Return the hypothesis written by :meth:`to_dict`.
+        """Return the hypothesis about ``world`` that :meth:`to_dict` wrote as ``record``.
 
         Raises:
-            UnknownNameError: a field that a hypothesis does not have.
-            InvalidSettingError: a goal is missing; and as of :meth:`of`.
+            UnknownNameError: there is no such field, agent, goal or relation.
+            InvalidSettingError: a goal is missing, or the hypothesis is impossible (:meth:`of`).
         """
         names = _argument_names(world)
         for name in record:

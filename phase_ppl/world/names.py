@@ -43,10 +43,14 @@ class PredicateKind(enum.IntEnum):
 
 
 class Literal(NamedTuple):
-    """A predicate or its negation over the entity ``subject``; ``World.words`` has it in names.
+    """A predicate about an entity, or its negation; ``World.words(literal)`` writes it in names.
 
-    The predicate decides what ``target`` numbers: entities, landmarks, places or user-defined
-    predicates. In goals ``predicate.name`` is "ON", "TOUCH" or "USERS".
+    Attributes:
+        predicate: a ``PredicateKind``. In goals its ``name`` is "ON", "TOUCH" or "USERS".
+        subject: index of the entity.
+        target: for ON the index of a landmark; for TOUCH and ATTACH of an entity; for CLOSE of a
+            place, rooms first, then doors; for USERS of one of ``world.predicates``.
+        positive: whether it is the predicate; False: its negation.
     """
 
     predicate: PredicateKind
@@ -55,10 +59,11 @@ class Literal(NamedTuple):
     positive: bool = True
 
     def negated(self) -> Literal:
+        """Return the negation of this literal."""
         return self._replace(positive=not self.positive)
 
     def says(self, other: Literal) -> bool:
-        """Whether it is equivalent to ``other``: TOUCH is symmetric."""
+        """Whether this literal is equivalent to ``other``. TOUCH is symmetric."""
         if self.predicate is not PredicateKind.TOUCH:
             return self == other
         return self == other or other == self._replace(subject=self.target, target=self.subject)

@@ -36,8 +36,8 @@ _CLEAR_OF_DOORS: Final = 1.5  # in units of a body's size R
 class Predicate:
     """A user-defined goal: where a body shall be, and a name for that.
 
-    A world that has it has two more goals, ``name`` and "not ``name``". Distances are path lengths
-    through doors, units, between the bodies' origins or to a landmark's centre.
+    It gives its world two more goals, ``name`` and "not ``name``". Distances are lengths of the
+    path through the doors, units, between the origins of two bodies or to a landmark's centre.
 
     Example:
         ``ppl.Predicate("toys together", "ball", "doll", within=4)``,
@@ -45,12 +45,13 @@ class Predicate:
         ``ppl.Predicate("ball in the attic", "ball", room=(30, 20))``
 
     Args:
-        name: its name, without the words "to" and "away from".
-        subject: name of an agent or item. Of two items it is the one that is moved.
-        target: name of another agent or item, or of a landmark.
-        within: true where the distance is at most this, units.
-        beyond: true where the distance is at least this, units.
-        room: true where the subject is in the room of this point (x, y), or of this landmark.
+        name: name of the goal, without the words "to" and "away from".
+        subject: name of an agent or item. If subject and target are items, agents move the subject.
+        target: name of another agent or item, or of a landmark; None with ``room``.
+        within: the predicate is true where the distance is at most this, units.
+        beyond: the predicate is true where the distance is at least this, units.
+        room: the predicate is true where the subject is in the room of this point (x, y) or of the
+            landmark of this name.
 
     Raises:
         InvalidSettingError: not exactly one of within, beyond and room, or an impossible value.
@@ -94,21 +95,25 @@ class Predicate:
 
     @property
     def brings_near(self) -> bool:
-        """Whether coming near makes it true, and getting away false."""
+        """Whether the predicate becomes true by coming near (``within``, ``room``)."""
         return self.beyond is None
 
     @property
     def limit(self) -> float:
-        """The distance at which its truth changes, units; 0 for a room."""
+        """The distance at which the predicate becomes true or false, units; 0 for a room."""
         return self.within or self.beyond or 0.0
 
     @property
     def content(self) -> float:
-        """The distance at which an agent that comes near stops, a little less than the limit."""
+        """Distance at which an agent that comes near stops, units: a little less than ``limit``."""
         return self.limit - min(_MARGIN, _MARGIN_SHARE * self.limit)
 
     def check(self, world: Any) -> None:
-        """Raise a PhasePPLError unless the world has its subject, target and room."""
+        """Raise a PhasePPLError if the predicate is impossible in a world.
+
+        The world must have its subject, target and room. The limit must be less than the diagonal
+        of the world's arena.
+        """
         what, (x0, x1, y0, y1) = f"predicate {self.name!r}", world.arena
         check_name(f"subject of {what}", self.subject, world.entities)
         if self.target == self.subject:
@@ -132,7 +137,7 @@ class Predicate:
                 raise InvalidSettingError(f"{what}: room={where}")
 
     def check_scene(self, scene: Any) -> None:
-        """Raise InvalidSettingError if it would be true, or false, everywhere in a scene."""
+        """Raise InvalidSettingError if the predicate is true (or false) everywhere in a scene."""
         what, world = f"predicate {self.name!r}", scene.world
         if self.room is not None and len(scene.rooms) == 1:
             raise InvalidSettingError(f"{what} is about a room, and the scene has one only")
@@ -146,11 +151,14 @@ class Predicate:
                 )
 
     def apart(self, poses: FloatArray, scene: Any) -> FloatArray:
-        """Return (...) the path length from subject to target or into the room, units.
+        """Return the path length from the subject to the target, or into the room.
 
         Args:
-            poses: (..., entity, coord) x, y [units]; further coords are ignored.
+            poses: (..., entity, coord) x, y [units] of all entities; further coords are ignored.
             scene: a scene of a world that has this predicate.
+
+        Returns:
+            (...) units; one number for each set of poses.
         """
         world, places = scene.world, np.asarray(poses, float)[..., :2]
         start = places[..., world.entity(self.subject), :]
@@ -163,20 +171,23 @@ class Predicate:
         return scene.rooms.path_distance(start, end)  # type: ignore[no-any-return]
 
     def holds(self, poses: FloatArray, scene: Any) -> BoolArray:
-        """Return (...) whether it is true. Arguments as of :meth:`apart`."""
+        """Return (...) whether the predicate is true. For arguments see :meth:`apart`."""
         apart = self.apart(poses, scene)
         return apart <= self.limit if self.brings_near else apart >= self.limit
 
     def distance(self, poses: FloatArray, scene: Any) -> FloatArray:
-        """Return (...) how far it is from being true, units. Arguments as of :meth:`apart`."""
+        """Return (...) how far the predicate is from being true, units; 0: it is true.
+
+        For arguments see :meth:`apart`.
+        """
         apart = self.apart(poses, scene)
         left = apart - self.limit if self.brings_near else self.limit - apart
         return np.maximum(0.0, left)
 
     def is_content(self, poses: FloatArray, scene: Any) -> BoolArray:
-        """Return (...) whether an agent that comes near may stop. Arguments as of :meth:`apart`.
+        """Return (...) whether an agent that comes near may stop. For arguments see :meth:`apart`.
 
-        An agent stops a little before the limit and, in a room, only clear of the doors.
+        An agent stops a little before the limit. In a room it stops only clear of the doors.
         """
         near = self.apart(poses, scene) <= self.content
         if self.room is None:
@@ -189,14 +200,14 @@ class Predicate:
         return np.asarray(near & clear)
 
     def room_in(self, scene: Any) -> int:
-        """Return the number of its room in a scene."""
+        """Return the number of the predicate's room in a scene."""
         where = self.room
         if isinstance(where, str):
             where = scene.landmark_centres[scene.world.landmark_names.index(where)]
         return int(scene.rooms.room_of(where))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, which :meth:`from_dict` reads: the fields that are set."""
+        """Return plain data, which :meth:`from_dict` reads: the arguments that are not None."""
         found = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(self.room, tuple):
             found["room"] = list(self.room)
@@ -204,11 +215,11 @@ class Predicate:
 
     @classmethod
     def from_dict(cls, record: object) -> Predicate:
-        """Return the predicate written by :meth:`to_dict`.
+        """Return the predicate that :meth:`to_dict` wrote as ``record``.
 
         Raises:
-            UnknownNameError: a field that a predicate does not have.
-            InvalidSettingError: a field is missing, or the predicate is impossible.
+            UnknownNameError: a predicate does not have such a field.
+            InvalidSettingError: name or subject is missing, or the predicate is impossible.
         """
         if not isinstance(record, Mapping):
             raise InvalidSettingError(f"a predicate is {shown(record)}, expected a mapping")

@@ -18,10 +18,14 @@ Item = TypeVar("Item")
 
 
 def progress_is_shown(shown: bool | None) -> bool:
-    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks.
+    """Return whether to show a progress bar on stderr.
+
+    Args:
+        shown: what the user asked for. None: show it if stderr is a terminal, and in notebooks.
+            Nothing is shown if stderr is closed.
 
     Raises:
-        InvalidSettingError: it is none of None, True and False.
+        InvalidSettingError: ``shown`` is none of None, True and False.
     """
     if shown is not None and not isinstance(shown, int | np.bool_):
         raise InvalidSettingError(f"progress={errors.shown(shown)}, expected True, False or None")
@@ -67,9 +71,9 @@ def counted(
     Args:
         items: what to count, such as events or answers.
         shown: whether to show the bar. None: only if stderr is a terminal, and in notebooks.
-        unit: one word for an item.
+        unit: one word for an item, such as "event"; the bar shows items per second.
         what: label before the bar.
-        total: number of items, if ``len`` does not give it.
+        total: number of items; needed only if ``items`` has no ``len``.
     """
     yield from Bar(total, 0, shown, unit, what, items)
 

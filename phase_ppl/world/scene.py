@@ -77,20 +77,25 @@ class World:
     Args:
         agents: names of 1 to 4 agents.
         items: names of up to 6 items.
-        landmarks: 1 to 8 names -> centre (x, y) or (x, y, half the side of the square), units.
-        arena: x_min, x_max, y_min, y_max; each side 4 to 60 units long.
-        walls: inner walls ((x, y), (x, y)), along x or y.
-        colours: name -> (red, green, blue); by default the colour in the name, or a free one.
-        half_width: half side of landmarks that give none, units.
+        landmarks: name -> centre (x, y), or (x, y, half the side of the square), units, for 1 to 8
+            landmarks. The attribute is a tuple with ``name``, ``x``, ``y``, ``half_width`` and
+            ``colour`` of each.
+        arena: x_min, x_max, y_min, y_max, units; each side is 4 to 60 units long.
+        walls: end points ((x, y), (x, y)) of each inner wall, units. A wall runs along x or y.
+        colours: name of an entity or landmark -> (red, green, blue), each from 0 to 255. By default
+            the colour in the name, or else a colour that is not yet used.
+        half_width: half the side of landmarks that are given without it, units.
         name: name of the world.
-        touchable: entities that goals of touching can name; None: all agents and items.
-        quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
-            else rooms are found from the walls.
-        predicates: up to 8 user-defined goals.
+        touchable: names of the entities that goals such as "get to red agent" can name; None: all
+            agents and items.
+        quadrants: True: rooms are the arena's quadrants, and walls run from its centre, as in
+            PHASE. False: rooms are found from the walls.
+        predicates: up to 8 user-defined goals, each a :class:`phase_ppl.Predicate`.
 
     Raises:
-        InvalidSettingError: an impossible value; the message names it.
-        InvalidEventError: an impossible wall.
+        InvalidSettingError: a value is impossible; the message names it.
+        UnknownNameError: ``colours``, ``touchable`` or a predicate has an unknown name.
+        InvalidEventError: a wall is impossible.
     """
 
     agents: Sequence[str]
@@ -197,19 +202,20 @@ class World:
 
     @property
     def entities(self) -> tuple[str, ...]:
-        """Names of agents, then items: the order of all arrays."""
+        """Names of all agents, then of all items: the order of the axis "entity" of arrays."""
         return (*self.agents, *self.items)
 
     @property
     def landmark_names(self) -> tuple[str, ...]:
-        """Names of the landmarks."""
+        """Names of the landmarks: the order of the axis "landmark" of arrays."""
         return tuple(one.name for one in self.landmarks)
 
     @functools.cached_property
     def keys(self) -> tuple[str, ...]:
-        """Short names of the agents in names of quantities, such as "red" in ``goal_red``.
+        """Short name of each agent, as in names of quantities: "red" in ``goal_red``.
 
-        It is the name as an identifier, without the word "agent" where that is unambiguous.
+        A short name is the agent's name as an identifier, in lower case. The word "agent" at its
+        end is left out if all short names still differ.
         """
         plain = [re.sub(r"\W+", "_", name.lower()) for name in self.agents]
         short = [name.removesuffix("_agent") for name in plain]
@@ -217,7 +223,7 @@ class World:
 
     @property
     def entity_colours(self) -> tuple[Colour, ...]:
-        """Colours of the entities."""
+        """Colour of each entity: (red, green, blue), each from 0 to 255."""
         return tuple(colour for _, colour in self.colours)
 
     def entity(self, name: str) -> int:
@@ -232,12 +238,14 @@ class World:
 
     @functools.cached_property
     def goals(self) -> tuple[str, ...]:
-        """All goals as strings, see :mod:`phase_ppl.world.goals`.
+        """All goals, as strings.
 
-        In order: each entity to and away from each landmark; the agent itself to and away from
-        each touchable entity; another agent to and away from each touchable entity; each
-        predicate and its negation. "Another agent" with an item takes two agents, with an agent
-        three.
+        First come those about landmarks: each entity to and away from each landmark, such as "Get
+        ball to home". Then "get to ..." and "get away from ..." each touchable entity, where the
+        agent that has the goal moves itself. Then goals about a named agent and a touchable entity,
+        such as "Get red agent to ball": with an item in worlds of two agents or more, with another
+        agent in worlds of three or more. Last come the user-defined predicates, each followed by
+        its negation.
         """
         users = ((one.name, f"not {one.name}") for one in self.predicates)
         return (
@@ -272,7 +280,7 @@ class World:
         return index
 
     def words(self, literal: Any) -> str:
-        """Return a literal in names, such as "not ON(ball, home)"."""
+        """Return a ``phase_ppl.goals.Literal`` in names, such as "not ON(ball, home)"."""
         predicate, subject, target, positive = literal
         if predicate is PredicateKind.STOP:
             return "STOP"
@@ -297,14 +305,18 @@ class World:
         """Return a scene of this world.
 
         Args:
-            start: name of every entity -> (x, y) or (x, y, angle), units and radians.
-            size: name -> size R, or one for all, units; 1 for those not named.
-            walls: inner walls; None: those of the world.
-            turning: which way agents can turn by themselves.
+            start: name of every entity -> (x, y) or (x, y, angle), units and rad. Angles are 0 by
+                default.
+            size: size R of entities, units: name -> size, or one size for all. Entities that are
+                not named have size 1. R is an item's radius; an agent's shape scales with it.
+            walls: (n, 2, 2) end points (x, y) of the inner walls, units; None: the world's walls.
+            turning: which way agents can turn by themselves: "both", "ccw" (counter-clockwise) or
+                "cw".
 
         Raises:
-            UnknownNameError: a name is neither an agent nor an item.
-            InvalidEventError: an entity has no start, or an impossible one.
+            UnknownNameError: a name is neither an agent nor an item, or ``turning`` is unknown.
+            InvalidEventError: an entity has no start or an impossible one, or a size or wall is
+                impossible.
         """
         instance_of("start", start, Mapping, "a mapping of names to (x, y) or (x, y, angle)")
         sizes = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
@@ -336,17 +348,19 @@ class World:
         off from every landmark, as beside an L-shaped flat, stay empty unless ``rooms`` names them.
 
         Args:
-            seed: the same seed gives the same scene; or a generator.
-            walls: inner walls; None: those of the world.
-            rooms: name of an agent or item -> its room at the start: a landmark's name, a point
-                (x, y) in it, or its number.
-            near: name of an agent or item -> name of another, or of a landmark. It starts in the
-                same room, with up to 2 units between them.
-            size: name -> size R, or one for all, units; random for those not named.
+            seed: a whole number >= 0, or a generator. The same number gives the same scene.
+            walls: (n, 2, 2) end points (x, y) of the inner walls, units; None: the world's walls.
+            rooms: name of an agent or item -> the room in which it starts: the name of a landmark
+                in the room, a point (x, y) in the room, or the room's number.
+            near: name of an agent or item -> name of an agent, item or landmark near which it
+                starts: in the same room, with up to 2 units between their edges.
+            size: size R, units: name of an agent or item -> size, or one size for all. Sizes that
+                are not given are random.
 
         Raises:
-            UnknownNameError: there is no such agent, item, landmark or room.
-            InvalidSettingError: no place was found, or an entity is to be near itself.
+            UnknownNameError: there is no such agent, item or landmark.
+            InvalidSettingError: no places were found for all bodies, a room does not exist, or an
+                entity is to be near itself.
         """
         if not isinstance(seed, np.random.Generator):
             seed = np.random.default_rng(whole_number("seed", seed, 0))
@@ -365,7 +379,7 @@ class World:
         raise why
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, which :meth:`from_dict` reads."""
+        """Return the world as plain data, which :meth:`from_dict` reads: the class's arguments."""
         x0, x1, y0, y1 = self.arena
         colours = [*self.colours, *((one.name, one.colour) for one in self.landmarks)]
         return {
@@ -387,11 +401,12 @@ class World:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> World:
-        """Return the world written by :meth:`to_dict`.
+        """Return the world that :meth:`to_dict` wrote as ``record``.
 
         Raises:
-            UnknownNameError: a field that a world does not have.
-            InvalidSettingError: a field is missing, or the world is impossible.
+            UnknownNameError: a world does not have such a field.
+            InvalidSettingError: agents, items or landmarks are missing, or a value is impossible.
+            InvalidEventError: a wall is impossible.
         """
         check_fields(record, cls, "a world", ("agents", "items", "landmarks"))
         users = record.get("predicates", [])
@@ -444,7 +459,7 @@ class Scene:
 
     Attributes:
         start: (entity, 3) x, y [units], angle [rad] of each entity at rest, holding nothing.
-        radius: (entity,) size R of each entity, units.
+        radius: (entity,) size R of each entity, units: an item's radius, an agent's scale.
         walls: (n, 2, 2) end points (x, y) of the inner walls, units; by default the world's. The
             arena's border is a wall too.
         turning: which way agents can turn by themselves: "both" (the default), "ccw"
@@ -452,14 +467,17 @@ class Scene:
         arena: x_min, x_max, y_min, y_max, units; by default the world's.
         landmark_centres: (landmark, 2) centres of the landmarks' squares, units; by default the
             world's.
-        landmark_half_width: half the side of the squares, one for all or (landmark,), units; by
-            default the world's.
-        resets_velocity: whether agents stand still after each planner step; items move on. It is so
-            in scenes that people steer (paper, Appendix A.2). Default: no.
-        world: the cast of entities; by default PHASE.
+        landmark_half_width: half the side of the landmarks' squares, one number for all or
+            (landmark,), units; by default the world's.
+        resets_velocity: whether agents stand still after each planner step (a frame), while items
+            move on. True for scenes that people steer (paper, Appendix A.2). Default: False.
+        world: the scene's world; by default PHASE.
 
     Raises:
-        InvalidEventError: a value is not finite, has the wrong shape or lies outside.
+        InvalidEventError: a value is not finite, has the wrong shape or is out of range; a body is
+            outside the arena; or walls close an item off from every agent.
+        UnknownNameError: ``turning`` is unknown.
+        InvalidSettingError: ``world`` is no world, or a predicate of it is impossible in the scene.
     """
 
     start: FloatArray
@@ -559,11 +577,13 @@ class Scene:
 
     @property
     def centre(self) -> FloatArray:
+        """(2,) x, y of the arena's centre, units."""
         x0, x1, y0, y1 = self.arena
         return np.array([(x0 + x1) / 2, (y0 + y1) / 2])
 
     @functools.cached_property
     def rooms(self) -> Rooms:
+        """The rooms and doors that the walls make; ``len(scene.rooms)`` is the number of rooms."""
         return Rooms.from_walls(self.walls, self.arena, self.world.quadrants)
 
     @functools.cached_property
@@ -575,7 +595,7 @@ class Scene:
 
     @functools.cached_property
     def border(self) -> FloatArray:
-        """(4, 2, 2) end points of the arena's outer walls."""
+        """(4, 2, 2) end points (x, y) of the arena's outer walls, units."""
         x0, x1, y0, y1 = self.arena
         corners = np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]])
         return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)

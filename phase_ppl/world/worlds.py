@@ -37,12 +37,12 @@ _READY: Final = {world.name: world for world in (PHASE, SOLO, TRIO)}
 
 
 def available() -> dict[str, World]:
-    """Return the ready-made worlds, by name."""
+    """Return the ready-made worlds: name -> world."""
     return dict(_READY)
 
 
 def named(world: str | World) -> World:
-    """Return a world, or the ready-made one of that name.
+    """Return the ready-made world of a name; a world itself is returned as it is.
 
     Raises:
         UnknownNameError: no ready-made world has that name.

@@ -154,23 +154,27 @@ def register_family(
     items: int = 0,
     landmarks: int = 1,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that registers a family as ``name``.
+    """Return a decorator that registers a family of events, a kind of situation, as ``name``.
 
-    The function takes a :class:`Draw` and returns a scene and a hypothesis, as ``draw.situation``
-    does, or None for another draw.
+    The decorated function takes a :class:`phase_ppl.data.generation.situation.Draw` and returns a
+    scene and a hypothesis, as ``draw.situation`` does. It may return None: then it is called again
+    with a new draw.
 
     Args:
-        name: its name, without a colon.
-        scenario: what at least one pair of agents shows; "independent": all pairs.
-        layouts: numbers of PHASE's layouts that it can be drawn in.
-        variants: names of its variants; the function then takes one as second argument.
-        world: its world, or the name of a ready-made one; None: any world that has enough of the
-            following, and no family of its own of that name.
-        agents, items, landmarks: least numbers, if ``world`` is None.
+        name: name of the family, without a colon.
+        scenario: scenario of at least one pair of agents in each situation; "independent": of all
+            pairs.
+        layouts: numbers of PHASE's wall layouts in which the family can be drawn.
+        variants: names of the family's variants. If there are some, the function's second argument
+            is one of these names.
+        world: the family's world, or the name of a ready-made one. None: any world that has the
+            least numbers below, and no family of its own of that name.
+        agents, items, landmarks: least number of each in a world, if ``world`` is None.
 
     Raises:
-        UnknownNameError: an unknown scenario, layout or world.
-        InvalidSettingError: the name is taken by another function, or holds a colon.
+        UnknownNameError: the scenario, a layout or the world is unknown.
+        InvalidSettingError: the name is taken by another function or holds a colon, or there are no
+            layouts.
     """
     check_name("scenario", scenario, SCENARIOS)
     for layout in layouts:
@@ -198,7 +202,10 @@ def _families_of(world: World) -> dict[str, Family]:
 
 
 def available_families(world: World | str = PHASE) -> list[str]:
-    """Return the names of all families of a world, or of the ready-made world of that name."""
+    """Return the names of all families, kinds of situations, of a world; sorted.
+
+    ``world`` is a world, or the name of a ready-made one (UnknownNameError: there is none).
+    """
     return sorted(_families_of(named(world)))
 
 
@@ -228,14 +235,15 @@ def cells_of(cell: str, world: World) -> list[str]:
 
 
 def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
-    """Return the scene and the hypothesis that a family draws in a world.
+    """Return ``(scene, roles)`` that a family draws in a world: a scene and a hypothesis.
 
-    :func:`phase_ppl.generate` draws alike; ``phase_ppl.simulate(scene, hypothesis)`` takes both.
+    ``phase_ppl.simulate(scene, roles)`` makes an event of them. :func:`phase_ppl.generate` draws
+    its situations in this way.
 
     Args:
-        cell: FAMILY or FAMILY:VARIANT.
+        cell: FAMILY or FAMILY:VARIANT, such as "independent:LMO+LMA" or "chasing".
         world: the world, or the name of a ready-made one.
-        seed: the same seed gives the same situation.
+        seed: a whole number >= 0. The same seed gives the same situation.
 
     Raises:
         UnknownNameError: there is no such world, family or variant.

@@ -149,7 +149,10 @@ def _make_missing(
 
 
 class GenerationInterrupted(KeyboardInterrupt):
-    """The generation was interrupted; finished events are kept, and it can be resumed."""
+    """A ``KeyboardInterrupt`` in :func:`phase_ppl.generate`.
+
+    Finished events are kept; ``generate(..., resume=True)`` goes on.
+    """
 
 
 def generate(
@@ -174,51 +177,56 @@ def generate(
 ) -> GeneratedEvents:
     """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
 
-    Each event depends on ``seed`` and its number in the plan only. So the set is the same for any
+    Each event depends only on ``seed`` and its number in the plan. So the set is the same for any
     number of workers, and after any interruption.
 
-    A situation comes from a family, as in :func:`phase_ppl.draw_situation`, or is a random scene
-    with a hypothesis, ``world.random_scene(seed)`` and ``roles(world, seed)``. A random scene is
-    kept if an agent with a goal of its own reaches it. Except in PHASE, one number gives a whole
-    event: the ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
+    A situation comes from a family (:func:`phase_ppl.draw_situation`), or it is a random scene
+    ``world.random_scene(seed)`` with a hypothesis ``roles(world, seed)``. An event in a random
+    scene is kept if an agent with a goal of its own reaches that goal. Except in PHASE, one number
+    gives a whole event: the ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.data.generated`).
-        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``.
+        n: number of events, in the proportions of ``cells``; None: the numbers of ``cells``.
             Required for random scenes without cells.
         world: the world, or the name of a ready-made one.
         roles: for random scenes, a function ``(world, seed)`` that returns a
             :class:`phase_ppl.Hypothesis`, or None to draw scene and hypothesis anew. Examples are
             :func:`phase_ppl.roles.draw` and, for a prior of your own,
-            ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default all goals are equally
-            likely, and all ways to help or hinder.
-        cells: FAMILY or FAMILY:VARIANT -> number; a family's is spread evenly over its variants. By
-            default PHASE has the paper's 500, any other world, or with ``roles``, random scenes
-            (``available_families`` lists the families).
-        splits: name -> share; by default the paper's 320 / 80 / 100.
-        copies: further copies of each event with other reflections and colours, in its split;
-            only in PHASE, where these are drawn at random.
-        planner: "fast", "paper" or a ``PlannerConfig``.
-        seed: of everything random.
-        turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
-        frames: length, in PHASE before the cut after the last motion; default 101.
-        max_tries: draws after which an event is given up; default 200.
-        resume: go on with the unfinished set in ``out``; its damaged events are made anew, with a
-            warning.
-        other_versions: resume even if other versions of this package or its libraries made that;
-            the manifest keeps both.
-        workers: processes; by default one per usable core. With an ``executor``, how many events
-            it gets at a time; by default up to 1000.
-        executor: any PEP 3148 executor to make events in, such as a ``dask.distributed`` client's;
-            it is not shut down.
-        progress: True or False for a bar on stderr; None: where stderr is a terminal.
+            ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default all goals, and all
+            ways to help or hinder, are equally likely.
+        cells: FAMILY or FAMILY:VARIANT -> number of events (``available_families`` lists the
+            families). A family's number is spread evenly over its variants. By default PHASE has
+            the paper's 500 events. In other worlds, or with ``roles``, scenes are random.
+        splits: name of a split -> share of the events; by default the paper's 320 / 80 / 100.
+        copies: number of further copies of each event, with other reflections and colours, in the
+            event's split. Only PHASE has copies. Reflection and colours of the event itself are
+            drawn at random there too.
+        planner: settings of the agents' planner: "fast", "paper", another name of
+            :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``.
+        seed: a whole number >= 0, the seed of everything random.
+        turning: which way agents can turn before any reflection: "both", "ccw" (counter-clockwise)
+            or "cw".
+        frames: number of frames of an event; PHASE's are then cut after the last motion. Default:
+            101.
+        max_tries: number of draws after which an event is given up. Default: 200.
+        resume: whether to go on with an unfinished set in ``out``. Its damaged events are made
+            anew, with a warning.
+        other_versions: whether to resume a set that other versions of this package or its libraries
+            began. The manifest keeps all versions.
+        workers: number of processes; by default one per usable core. With an ``executor``: how many
+            events to give it at a time; by default up to 1000.
+        executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
+            client. It is not shut down.
+        progress: whether to show a bar on stderr; None: if stderr is a terminal.
 
     Returns:
-        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made.
+        The events; its attributes ``manifest`` and ``entries`` say how each was made.
 
     Raises:
-        UnknownNameError, InvalidSettingError: a setting that is not allowed.
-        OutputError: the folder cannot be used.
+        UnknownNameError, InvalidSettingError: a setting is not allowed.
+        OutputError: the folder cannot be written, holds a data set of other settings, or holds one
+            and ``resume`` is False.
         SimulationError: an event could not be made, or the executor takes no more work; finished
             events are kept.
         GenerationInterrupted: Ctrl-C; finished events are kept.

@@ -123,7 +123,7 @@ class Draw:
         world: the world; all names are its names.
         rng: source of all randomness.
         layout: number of the floor plan; 0 in worlds with only one.
-        rooms: of the floor plan. In PHASE rooms and landmarks share their numbers 0..3.
+        rooms: the floor plan's rooms. In PHASE a room and its landmark have the same number, 0..3.
     """
 
     def __init__(self, world: World, rng: np.random.Generator, layout: int = 0) -> None:
@@ -150,13 +150,13 @@ class Draw:
         return self.one_of(name for name in self.world.items if name not in but)
 
     def landmark(self, *, but: Sequence[str | int] = ()) -> str:
-        """Return the name of a landmark other than ``but``, names or rooms of landmarks."""
+        """Return the name of a landmark other than ``but``: names, or numbers of their rooms."""
         return self.one_of(
             name for name in self.world.landmark_names if not {name, self._room_of(name)} & {*but}
         )
 
     def room(self, *, but: Sequence[str | int] = ()) -> int:
-        """Return the number of a room other than ``but``, numbers or landmarks in rooms."""
+        """Return the number of a room other than ``but``: numbers, or names of their landmarks."""
         others = [self._room_of(one) for one in but]
         return self.one_of(room for room in range(len(self.rooms)) if room not in others)
 
@@ -237,16 +237,17 @@ class Draw:
     ) -> Situation:
         """Return a situation; all that is not given is drawn.
 
-        An agent without a goal that neither helps nor hinders runs an errand unrelated to the
-        others' goals. Goals, strengths, rooms and sizes are given by name, or as a list for all in
-        their order (None: not given), or as one value for all.
+        An agent that has no goal, and neither helps nor hinders, runs an errand unrelated to the
+        other agents' goals. Goals, strengths, rooms and sizes are given by name, or as a list in
+        the world's order (None: not given), or as one value for all.
 
         Args:
-            goals: own goals of agents.
-            relation: (who, whom) -> "help" or "hinder".
-            strength: of agents, newtons.
+            goals: own goals of agents, strings or indices into ``world.goals``.
+            relation: (name of an agent, name of the agent that it helps or hinders) -> "help" or
+                "hinder".
+            strength: maximum forces of agents, newtons.
             rooms, near, size: start places and sizes of agents and items, as in
-                :meth:`phase_ppl.World.random_scene`; in PHASE a point is the place itself.
+                :meth:`phase_ppl.World.random_scene`. In PHASE a point (x, y) is the start itself.
         """
         world, own = self.world, _by_name(goals, self.world.agents)
         forces = _by_name(strength, world.agents)

@@ -1,7 +1,8 @@
-"""Markov kernels over hypotheses, one file each.
+"""Kernels, the rules by which a chain moves from one hypothesis to the next.
 
-They are classes for NumPyro's ``MCMC``: ``ppl.kernels.LocalMH(program)`` of a
-:func:`phase_ppl.program`. :func:`phase_ppl.infer` knows them by name.
+They are classes for NumPyro's ``MCMC``, as in ``ppl.kernels.LocalMH(program)``, where ``program``
+comes from :func:`phase_ppl.program`. In :func:`phase_ppl.infer` they have names, such as
+"local_mh".
 """
 
 from phase_ppl.inference.kernels.local_mh import LocalMH

@@ -128,8 +128,8 @@ def guide_of(
 class AMIS(Importance):
     """Adaptive multiple importance sampling, for simulators that take milliseconds.
 
-    The proposal learns from all simulations so far, and every draw is weighed against all of its
-    versions. Nothing is stopped early.
+    The proposal learns from all simulations so far. Every draw is weighed by the mixture of all
+    versions of the proposal. No simulation is stopped early.
     """
 
     adapts = True

@@ -112,15 +112,22 @@ def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
 
 @register_kernel("local_mh", validity="exact", needs=("guide", "settings"), any_length=True)
 class LocalMH(MetropolisKernel):
-    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals; the module has its rules.
+    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals.
+
+    A proposal comes from a window, a short interval of the video in which the current simulation
+    has large errors. Formulas are in :mod:`phase_ppl.inference.kernels.local_mh`.
 
     Args:
-        program, early_reject: as of every Metropolis-Hastings kernel.
-        guide: proposal program over the prior's sites; initial hypotheses come from its proposal
-            for the whole observation.
-        settings: eta and the length of the windows; by default the paper's.
-        rule: "exact": Hastings' ratio with the window summed out; "window": with the window in
-            it; "paper": the ratio as printed, which is biased.
+        program: the event's program, of :func:`phase_ppl.program`.
+        guide: bottom-up proposal program over the prior's sites; None: the program's. Its proposal
+            for the whole video draws the initial hypotheses.
+        settings: ``SimpleSettings`` with eta and the length of windows; None: the program's, or
+            else the paper's.
+        rule: acceptance ratio. "exact": Hastings' ratio with the window summed out; "window":
+            Hastings' ratio with the window as part of the move; "paper": the ratio as printed,
+            which is biased.
+        early_reject: whether to stop a simulation once it cannot be accepted any more. The chain is
+            the same with and without.
 
     Raises:
         UnknownNameError: there is no such rule.
@@ -142,11 +149,14 @@ class LocalMH(MetropolisKernel):
 
     @property
     def validity(self) -> Validity:
-        """Whether the stationary law is the posterior: not with the printed rule."""
+        """How far to trust the kernel: "exact", or "approximate" with the printed rule."""
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
-        """Return (window,) log Q(sites | S_k); -inf for windows that do not exist."""
+        """Return the log density (window,) of proposing ``sites`` from each window.
+
+        It is -inf for windows that do not exist.
+        """
         windows = jnp.arange(self.most_windows)
         density = jax.vmap(lambda window: self.guide.log_prob(sites, window))(windows)
         if self.program.is_padded:
@@ -158,11 +168,11 @@ class LocalMH(MetropolisKernel):
         return self.guide.draw(key, self.n_windows)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
-        """Return log Q(sites | whole observation)."""
+        """Return the log density of proposing ``sites`` from the whole observation."""
         return self.guide.log_prob(sites, self.n_windows)
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
-        """Propose from a window in which the simulation is off."""
+        """Propose from a window in which the simulation has large errors."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
         move = self.local_move(window, sites, state)
@@ -171,7 +181,7 @@ class LocalMH(MetropolisKernel):
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Return a window in which the simulation is off, and a hypothesis proposed from it."""
+        """Return a window with large errors of the simulation, and a hypothesis from it."""
         window = random.categorical(key_window, self.log_windows(state.step_error))
         return window, self.guide.draw(key_sites, window)
 
@@ -193,7 +203,7 @@ class LocalMH(MetropolisKernel):
         )
 
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
-        """Return the part of the log reverse probability that depends on the simulation."""
+        """Return the part of the log reverse probability that depends on the errors (time,)."""
         before = state.memo["log_proposal"]
         return log_after(self._rule, move.window, before, self.log_windows(step_error))
 
@@ -223,7 +233,7 @@ class LocalMH(MetropolisKernel):
         return Request(sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
-        """Return (window,) log r(k | e), of the windows that exist."""
+        """Return (window,) the log probability of choosing each window, given errors (time,)."""
         length = window_length(self.program.n_frames, self.settings.window)
         count = self.n_windows if self.program.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

@@ -428,7 +428,10 @@ class ProposalKernel(MetropolisKernel):
     def proposed(
         self, key: jax.Array, state: MHState
     ) -> tuple[dict[str, jax.Array], jax.Array, jax.Array | float]:
-        """Return a hypothesis z', log q(z | z') - log q(z' | z), and ``Move.log_proposal``."""
+        """Return a hypothesis z', log q(z | z') - log q(z' | z), and the log density of its draw.
+
+        q is the proposal, z the hypothesis of ``state``. The log density is NaN if it is unknown.
+        """
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
@@ -445,8 +448,9 @@ class ProposalKernel(MetropolisKernel):
 class PriorMH(ProposalKernel):
     """Metropolis-Hastings with proposals from the prior.
 
-    An independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio of
-    likelihoods.
+    It is an independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio
+    of likelihoods. ``program`` comes from :func:`phase_ppl.program`. ``early_reject`` says whether
+    to stop a simulation once it cannot be accepted any more. The other arguments have no effect.
     """
 
     def proposed(
@@ -461,8 +465,8 @@ class PriorMH(ProposalKernel):
 class SingleSiteMH(ProposalKernel):
     """Metropolis-Hastings that proposes one site at a time from the prior.
 
-    A random site is drawn from its prior given the sites above it; all others stay. A user's own
-    sites move like any other, in any hierarchy.
+    A random site is drawn from its prior given the sites above it; all other sites stay. Further
+    sites of your own prior move too. Arguments are those of :class:`PriorMH`.
     """
 
     def proposed(

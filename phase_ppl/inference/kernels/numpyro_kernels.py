@@ -66,14 +66,16 @@ class SamplerState(NamedTuple):
 class NumpyroKernel(EventKernel):
     """Base of kernels that run a NumPyro sampler on real numbers that stand for a hypothesis.
 
-    The inverse distribution functions of the prior's sites turn them into a hypothesis, goals
-    included.
+    The inverse distribution functions of the prior's sites turn the numbers into a hypothesis,
+    goals included. A subclass makes the sampler, in :meth:`sampler`. All particles are simulated
+    together.
 
-    A subclass makes the sampler, in :meth:`sampler`. All particles are simulated together.
+    Args:
+        program: the event's program, of :func:`phase_ppl.program`.
 
     Raises:
-        InvalidSettingError: a site of the prior has no inverse distribution function; when started:
-            an ensemble has too few chains, or an odd number.
+        InvalidSettingError: a site of the prior has no inverse distribution function; or, when the
+            kernel starts, an ensemble sampler has too few chains, or an odd number.
     """
 
     starts, moves = ("begun",), ("moved",)  # the sampler simulates from within
@@ -86,18 +88,18 @@ class NumpyroKernel(EventKernel):
 
     @abstractmethod
     def sampler(self) -> MCMCKernel:
-        """Return NumPyro's sampler of a point (dimension,), with :attr:`potential`."""
+        """Return NumPyro's sampler of points (dimension,), made with ``self.potential``."""
 
     @property
     def dimensions(self) -> int:
-        """Length of a point: a number per site, and one for the simulator's noise.
+        """Length of a point: a number per site and one for the simulator's seed.
 
-        With ``Model(noise="fixed")`` the last one is left out.
+        With ``Model(noise="fixed")`` there is none for the seed.
         """
         return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
-        """Return - log density of a point (dimension,), up to a constant."""
+        """Return minus the log density of a point (dimension,), up to a constant."""
         error = self._simulated(point)[2]
         # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
         volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
@@ -105,6 +107,7 @@ class NumpyroKernel(EventKernel):
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE_POTENTIAL)
 
     def begun(self, keys: jax.Array, _: Any) -> SamplerState:
+        """Return the first state of all particles, drawn from the prior with ``keys``, (chain,)."""
         keys = for_each(lambda key: random.split(key, 3), keys)
         # starting points from the prior
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
@@ -115,6 +118,7 @@ class NumpyroKernel(EventKernel):
         return SamplerState(none, z, sim_seed, error, inner, none > 0, none, keys[:, 2])
 
     def moved(self, state: SamplerState) -> SamplerState:
+        """Return the next state of all particles."""
         keys = for_each(random.split, state.rng_key)
         # a start makes the sampler ready; what it would simulate, the compiler leaves out
         sampler, _ = self._started(keys[:, 0], state.inner.z)
@@ -168,9 +172,9 @@ def _together(state: Any) -> Any:
 class EnsembleKernel(NumpyroKernel):
     """Affine-invariant ensemble sampling (Goodman, Weare 2010).
 
-    The particles are an ensemble; each half moves along lines through the other. An iteration is a
-    stretch or a differential evolution move, at random. It needs an even number of chains, at least
-    twice as many as sites, seed included; with fewer they might move in a subspace.
+    The particles are an ensemble; each half moves along lines through the other half. An iteration
+    is a stretch or a differential evolution move, at random. The number of chains must be even, and
+    at least twice the number of sites, seed included: fewer might move in a subspace.
     """
 
     validity: ClassVar[str] = "exact"
@@ -187,10 +191,11 @@ _POOL: Final = 8  # points per number that moves
 class SampleAdaptiveKernel(NumpyroKernel):
     """Sample Adaptive MCMC (Zhu 2019).
 
-    A pool of points per particle proposes a new point, which replaces another. The draw of an
-    iteration is a random point of the pool, which has eight points for each site and the seed. They
-    are simulated at the start, and it takes many iterations to leave them behind. Small pools bias:
-    on the tests' toy by a total variation of 0.05 with two points per site, below 0.015 with eight.
+    Each particle has a pool of eight points for each site and the seed. The pool proposes a new
+    point, which replaces one of its points. The draw of an iteration is a random point of the pool.
+    The first points are simulated at the start, and it takes many iterations to replace them all.
+    Small pools bias: on the tests' toy with a known posterior by a total variation of 0.05 with two
+    points per site, below 0.015 with eight.
     """
 
     validity: ClassVar[str] = "consistent"
@@ -283,10 +288,10 @@ class RandomWalk(MCMCKernel):
 class GibbsKernel(EventKernel):
     """Gibbs sampling: random walks site by site.
 
-    It updates the discrete sites one by one, in random order, then the real sites and the seed. A
-    discrete site is proposed evenly from its other values, with the simulator's seed kept. The
-    target is the joint law of hypothesis and seed. An iteration takes one simulation for each
-    discrete site and one for the rest.
+    It updates the discrete sites one by one, in random order, then the real sites and the seed. The
+    proposal for a discrete site is one of its other values, all equally likely; the simulator's
+    seed stays. The target is the joint distribution of hypothesis and seed. An iteration takes one
+    simulation for each discrete site and one for real sites and seed.
 
     Raises:
         InvalidSettingError: a discrete site's values are not 0, 1, ..., n.

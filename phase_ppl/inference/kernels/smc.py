@@ -160,10 +160,10 @@ class SMC(EventKernel):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
-        move: name of the kernel that moves the particles.
+        move: name of the kernel that moves the particles at each temperature.
 
     Raises:
-        UnknownNameError: there is no such move.
+        UnknownNameError: there is no such kernel for moves.
     """
 
     validity = "consistent"

@@ -93,9 +93,9 @@ class WeightedState(NamedTuple):
 class Importance(EventKernel):
     """Importance sampling from the guide's mixture over windows.
 
-    Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
-    proposals over all windows and the whole observation. The guide's share of the prior makes Q
-    cover the prior's support. Nothing is stopped early.
+    Draws are independent, each with weight P(h) L / Q(h). Q is the even mixture of the bottom-up
+    proposals from all windows and from the whole video. The share of the prior in the proposals
+    makes Q cover the prior's support. No simulation is stopped early.
     """
 
     validity = "consistent"
@@ -284,14 +284,14 @@ def _with_mass(
 class Enumeration(EventKernel):
     """Enumeration of all agents' effective goals on a grid of strengths.
 
-    Every hypothesis is simulated, one after the other, and weighs P(h) L. The result is as good as
-    the grid of strengths and, for a noisy simulator, the number of seeds: hence "consistent", not
-    "exact". The particles share the work.
+    Every hypothesis h is simulated, one after the other, and has weight P(h) L. The posterior is
+    as good as the grid of strengths and, for a noisy simulator, the number of seeds: hence
+    "consistent", not "exact". The particles share the work.
 
     Args:
-        strengths: grid of each agent's strength, newtons. Each stands for those nearer to it than
-            to another. Under a uniform prior from 150 to 600 N the default four weigh 1/6, 1/3,
-            1/3 and 1/6. See :func:`hypothesis_grid`.
+        strengths: grid of each agent's strength, newtons. A strength of the grid stands for all
+            strengths that are nearest to it. Under a uniform prior from 150 to 600 N the default
+            four have prior 1/6, 1/3, 1/3 and 1/6. See :func:`hypothesis_grid`.
 
     Raises:
         InvalidSettingError: the prior cannot be enumerated, or takes too many simulations.
