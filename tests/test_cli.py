@@ -293,6 +293,7 @@ BAD_INPUT = [
     ("infer collaborate --watch --kernel prior_mh --on-failure retry --option rule=paper",
      "the closed loop, which samples nothing: no --kernel, --on-failure, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
+    ("infer collaborate --seed 1 --seed 2", "--seed: given twice, 1 and 2"),
     ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
      "on_failure='retry' is for simulations"),
     ("resume file", "no checkpoint"),

@@ -252,12 +252,13 @@ def _add_entry(to: Any, entry: str, says: str, required: bool) -> None:
     shows = (value or name).removesuffix("...").strip("[]")
     several = entry.endswith("...")
     more: dict[str, Any] = {"metavar": shows, "type": _TYPES.get(shows)}
+    more |= {"action": _Once} if option else {}
     if name in ("--quiet", "--progress"):
         more = {"dest": "progress", "action": "store_const", "const": name == "--progress"}
     elif option and not value:
         more = {"action": "store_const", "const": True}
     elif "|" in value:
-        more = {"choices": value.split("|")}
+        more = {"action": _Once, "choices": value.split("|")}
     elif option and several and shows.count("=") == 1:
         more |= {"action": _Pairs, "default": {}}
     elif option and several:
@@ -279,6 +280,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> Any:
         self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+class _Once(argparse.Action):
+    """A value; argparse itself would take the last of several."""
+
+    def __call__(self, parser: Any, options: Any, value: Any, option: Any = None) -> None:
+        if (given := getattr(options, self.dest)) is not None:
+            raise argparse.ArgumentError(self, f"given twice, {given!r} and {value!r}")
+        setattr(options, self.dest, value)
 
 
 class _Pairs(argparse.Action):
