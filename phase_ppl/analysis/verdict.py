@@ -385,7 +385,7 @@ def _by_prior(found: Record) -> Iterator[Check]:
             f"Under a flat prior over pairs of goals there would be {' and '.join(short)}: above "
             f"{ALONE} the video decides, up to 1/2 the prior."
         )
-        value = f"answers ≥ {min(shown.values())}, flat prior"
+        value = f"answers {min(shown.values())}+, flat prior"
         state = "doubt" if short else "ok"
         yield Check("the video decides", state, value, f"above {ALONE}", says)
 

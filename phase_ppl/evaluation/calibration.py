@@ -96,7 +96,7 @@ _LEGEND: Final = (
     "or of the probability of their goal or relation; 0.5 if calibrated. p_even: p-value of a test "
     f"that places are uniform; told if below {DOUBTFUL:g}. right: share of right answers, low "
     "to high its 95 % interval. confidence: mean probability of the answers. log_score: mean log "
-    "probability of the truth, nats; expected: what the probabilities themselves let expect."
+    "probability of the truth, nats; expected: its mean if all probabilities were true."
 )
 
 
