@@ -92,7 +92,7 @@ _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 _LEGEND: Final = (
-    "rank: mean place of the truth, from 0 (first) to 1 (last), among draws in order of newtons, "
+    "rank: mean place of the truth, from 0 (lowest) to 1, among draws in order of newtons, "
     "or of the probability of their goal or relation; 0.5 if calibrated. p_even: p-value of a test "
     f"that places are uniform; told if below {DOUBTFUL:g}. right: share of right answers, low "
     "to high its 95 % interval. confidence: mean probability of the answers. log_score: mean log "
