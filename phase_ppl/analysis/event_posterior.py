@@ -562,7 +562,8 @@ def _leading(of: Hypotheses, name: str) -> list[tuple[str, Estimate]]:
     """Return the most probable goals, and all others together."""
     ranked = [entry for entry in of.top(name, len(of.quantities[name] or ())) if entry[1] > 0]
     shown, others = ranked[:_SHOWN], [label for label, _ in ranked[_SHOWN:]]
-    if others and (rest := of.probability(**{name: others})) >= _LITTLE:
+    event: dict[str, Any] = {name: others}
+    if others and (rest := of.probability(**event)) >= _LITTLE:
         shown.append((f"{len(others)} other goal{'s' * (len(others) > 1)}", rest))
     return shown
 

@@ -457,7 +457,7 @@ class Posterior(EventPosterior):
     def _body(self, found: Mapping[str, Any]) -> list[str]:
         n, off = self.observed().shape[1], found["best_error_per_frame"]
         fit = f"the best draw is off by {off:.2f} units a frame"
-        fit += "" if n == 1 else f" (root of the sum of squares over {n} bodies)"
+        fit += "" if n == 1 else f" (root of the summed squared distances of {n} bodies)"
         told = {"errors": ""}
         if (size := self._effective_size) < estimate.FEW_DRAWS:
             told["errors"] = (
