@@ -69,7 +69,8 @@ def diagnostics(
     * ``windows``: how many proposals came from a window (``proposals``) and from none
       (``without``); the windows' first frames (``starts``) and how often each occurs
       (``counts``); ``frames`` of a window, None: the run has no such setting.
-    * ``simulations``: total, completed, aborted (stopped early), failed; ``first_failure``: which
+    * ``simulations``: total, completed, aborted (stopped early), failed; ``simulations_of``: how
+      many were at the ``start``, in ``iterations`` and of ``rivals``; ``first_failure``: which
       failed first, why and where, "": none, or an older file; ``frames_saved`` and
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
@@ -277,8 +278,12 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
     saved = (n_frames - simulations["frames_simulated"].values[aborted]).sum()
     wanted = n_frames * (~failed).sum()
     counts = {"completed": completed, "aborted": aborted, "failed": failed}
+    iteration = simulations["iteration"].values
+    rivals = iteration >= tree.attrs.get("rivals_from", np.inf)
+    parts = {"start": iteration == 0, "iterations": (iteration > 0) & ~rivals, "rivals": rivals}
     return {
         "simulations": {"total": len(failed), **{k: one.sum() for k, one in counts.items()}},
+        "simulations_of": {k: one.sum() for k, one in parts.items()},
         "first_failure": simulations.attrs.get(trees.FIRST_FAILURE, ""),
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
@@ -294,7 +299,7 @@ _CATEGORIES: Final = {
 }
 """Columns of the tables -> their headings."""
 
-_CALLED: Final = {"total_error": "total_error (distance)"}
+_CALLED: Final = {"total_error": "total_error (summed over frames)"}
 _OF_WHAT: Final = "P is by the weights; share, with its MCSE, ESS and R-hat, is of the draws"
 
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
@@ -323,15 +328,17 @@ class Diagnostics(Printed, dict[str, Any]):
             "moved": (
                 ""
                 if self["move_rate"] is None
-                else f"to another pair of goals in {self['move_rate']:.0%} of the iterations; "
+                else f"to another pair of goals in {self['move_rate']:.0%} of the particles' "
+                "iterations; "
             )
             + f"{self['distinct_hypotheses']} distinct hypotheses, "
             f"{self['distinct_goal_pairs']} pairs of goals",
             "windows": _of_windows(self["windows"]),
-            "simulations": f"{counts['total']}: {counts['completed']} completed, "
-            f"{counts['aborted']} stopped early (saved {self['frames_saved_share']:.0%} of the "
-            f"frames), {counts['failed']} failed; the best draw is "
-            f"{self['best_error_per_frame']:.2f} units per frame from the observation",
+            "simulations": f"{counts['total']}{simulations_of(self)}: {counts['completed']} "
+            f"completed, {counts['aborted']} stopped early as too far off (saved "
+            f"{self['frames_saved_share']:.0%} of the frames; as rivals they count as tried), "
+            f"{counts['failed']} failed; the best draw is off by "
+            f"{self['best_error_per_frame']:.2f} units a frame",
         }
         lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
         scalars = {_CALLED.get(name, name): one for name, one in self["scalars"].items()}
@@ -347,8 +354,8 @@ class Diagnostics(Printed, dict[str, Any]):
                 lines += wrapped(
                     name,
                     f"the same goal leads in {self['agreement'][name]:.0%} of the particles; total "
-                    f"variation between two of them {apart['mean']:.2f} on average, "
-                    f"{apart['max']:.2f} at most",
+                    f"variation between two particles {apart['mean']:.2f} on average over all "
+                    f"pairs, {apart['max']:.2f} at most",
                 )
         return "\n".join([*lines, "", *verdict_lines(self)])
 
@@ -362,6 +369,13 @@ def _table(rows: Mapping[Any, Mapping[str, float | None]], columns: Mapping[str,
     return found.rename(columns=columns).to_string()
 
 
+def simulations_of(found: Mapping[str, Any]) -> str:
+    """Return in brackets what the simulations were made for; "": all for the same."""
+    words = {"start": "at the start", "iterations": "in iterations", "rivals": "of rivals"}
+    told = [f"{n} {words[what]}" for what, n in found["simulations_of"].items() if n]
+    return f" ({', '.join(told)})" if len(told) > 1 else ""
+
+
 def _of_windows(windows: Mapping[str, Any]) -> str:
     if not windows["proposals"]:
         return "no proposal came from a window"
@@ -370,5 +384,5 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
     text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
     if windows["frames"] is not None:
         text += f" of {windows['frames']} frames"
-    text += f"; the middle half of the proposals have one that begins in frames {low} to {high}"
+    text += f"; half of the proposals have one that begins in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text

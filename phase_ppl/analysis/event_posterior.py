@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -540,7 +540,7 @@ def answer_lines(
     """
     lines: list[str] = []
     for agent, name in of.goals_of.items():
-        lines += bars(agent, [entry for entry in of.top(name, 3) if entry[1] > 0])
+        lines += bars(agent, _leading(of, name))
     for label, name in (*of.relations_of.items(), *of.scenarios_of.items()):
         without = untried(name)
         lines += bars(label, [(one, None if one in without else p) for one, p in of.top(name, 4)])
@@ -551,9 +551,26 @@ def answer_lines(
             text = ", ".join(f"{x:g} N ({p:.2f})" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
-            text = f"mean {of.mean(name)} N; 95 % of the posterior in {low:.0f} to {high:.0f} N"
+            mean, _, error = str(of.mean(name)).partition(" ± ")
+            text = (
+                f"mean {mean} N (error {error}); 95 % of the posterior in {low:.0f} to {high:.0f} N"
+            )
         lines += wrapped("" if place else "strength", f"{agent}: {text}")
     return lines
+
+
+_SHOWN: Final = 3  # goals of an agent that are named
+_LITTLE: Final = 0.005  # probability of all others that is not told
+
+
+def _leading(of: Hypotheses, name: str) -> list[tuple[str, Estimate]]:
+    """Return the most probable goals, and all others together."""
+    ranked = [entry for entry in of.top(name, len(of.quantities[name] or ())) if entry[1] > 0]
+    shown, others = ranked[:_SHOWN], [label for label, _ in ranked[_SHOWN:]]
+    event: dict[str, Any] = {name: others}
+    if others and (rest := of.probability(**event)) >= _LITTLE:
+        shown.append((f"{len(others)} other goal{'s' * (len(others) > 1)}", rest))
+    return shown
 
 
 def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:

@@ -68,6 +68,8 @@ MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refuse
 SURE: Final = 1.64
 """Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
 
+_ALIKE: Final = 0.9  # share of the leader's probability from which on others are about as probable
+
 
 class Hypotheses(Printed):
     """A weighted table of hypotheses, and questions that one can ask it.
@@ -280,23 +282,34 @@ class Hypotheses(Printed):
 
         Returns:
             Quantity -> ``label``, its ``probability`` and ``error``; ``next``, the second most
-            probable label, and ``next_probability``; ``sure``: whether the answer is sure (see the
-            glossary). Goals that were never simulated count as impossible. ``diagnostics()`` says
-            whether this matters, and whether the prior decides the answer.
+            probable label, and ``next_probability``; ``alike``: further labels with at least nine
+            tenths of the leader's probability, and theirs; ``sure``: whether the answer is sure
+            (see the glossary). A relation also has ``of_leading_goals``, the relation that follows
+            from the leading goals; None: no hypothesis has these together. Goals that were never
+            simulated count as impossible. ``diagnostics()`` says whether this matters, and whether
+            the prior decides the answer.
         """
-        found = {}
+        found: dict[str, dict[str, Any]] = {}
+        together = np.ones(len(self._rows.weights), bool)
         for name in (*self.goals_of.values(), *self.relations_of.values()):
-            (label, share), (second, second_share) = self.top(name, 2)
+            labels, codes = self._quantity(name).categories(), self._rows.values[name]
+            (label, share), (second, second_share), *others = self.top(name, len(labels))
             found[name] = {
                 "label": label,
                 "probability": float(share),
                 "error": share.error,
                 "next": second,
                 "next_probability": float(second_share),
+                "alike": {one: float(p) for one, p in others if p >= _ALIKE * share},
                 "sure": bool(
                     share - SURE * share.error > 0.5 and not self._effective_size < self._needed
                 ),
             }
+            if name in self.goals_of.values():
+                together &= codes == labels.index(label)
+            else:  # it follows from the goals
+                known = codes[together][:1].tolist()
+                found[name]["of_leading_goals"] = labels[known[0]] if known else None
         return found
 
     def entropy(self, *names: str, given: Given = None) -> Estimate:

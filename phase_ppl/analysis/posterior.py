@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis import tree as trees
-from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
+from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics, simulations_of
 from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.quantities import Vocabulary, users_quantity
 from phase_ppl.analysis.weights import (
@@ -459,9 +459,15 @@ class Posterior(EventPosterior):
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
         n, off = self.observed().shape[1], found["best_error_per_frame"]
-        fit = f"the best draw stays {off:.2f} units per frame from the observation"
-        fit += "" if n == 1 else f" (all {n} entities together)"
-        told = {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
+        fit = f"the best draw is off by {off:.2f} units a frame"
+        fit += "" if n == 1 else f" (root of the summed squared distances of {n} bodies)"
+        told = {"errors": ""}
+        if (size := self._effective_size) < estimate.FEW_DRAWS:
+            told["errors"] = (
+                f"where all draws agree, an error is what {size:.1f} independent draws leave open "
+                "(Jeffreys)"
+            )
+        told |= {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
         told |= {"fit": fit, "cost": _cost(self.cost, found)}
         lines = [line for name, text in told.items() if text for line in wrapped(name, text)]
         return [*answer_lines(self, self._untried), "", *lines]
@@ -483,8 +489,9 @@ class Posterior(EventPosterior):
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
             if far:
-                return f"tempered: beta = {beta:g}, so that a single frame says next to nothing"
-            return f"beta = {beta:g}, as noise of {noise:.0f} units in a frame"
+                words = f"a frame counts exp(-{beta:g} x distance)"
+                return f"tempered: {words}, so a single one says next to nothing"
+            return f"a frame counts exp(-{beta:g} x distance), as noise of {noise:.0f} units"
         counts = self._tree[trees.SIMULATED].attrs.get("frame_weight", 1.0)
         return f"the closed loop's, tempered: a frame counts {counts:g}" if counts != 1 else ""
 
@@ -500,16 +507,17 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         "budget": " (of a budget of {}),",
         "seconds": " in {:.0f} s",
         "workers": f" on {{:d}} worker{'' if cost.get('workers') == 1 else 's'}",
-        "seconds_overhead": ", {:.0f} s of it not simulating",
+        "seconds_overhead": " ({:.0f} s of these outside simulations)",
     }
     told = [words.format(cost[name]) for name, words in known.items() if cost.get(name) is not None]
     stopped = "none stopped early"
     if n := simulations["aborted"]:
         saved = f"{found['frames_saved_share']:.0%} of the frames"
-        stopped = f"{n} stopped early, which saved {saved}"
+        stopped = f"{n} stopped early as too far off, which saved {saved}"
     again = f", {cost['retries']} run again" if cost.get("retries") else ""
     failed = cost.get("failures", simulations["failed"])
-    return f"{simulations['total']} simulations{''.join(told)}; {stopped}; {failed} failed{again}"
+    total = f"{simulations['total']} simulations{simulations_of(found)}"
+    return f"{total}{''.join(told)}; {stopped}; {failed} failed{again}"
 
 
 def load_posterior(

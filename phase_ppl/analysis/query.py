@@ -302,7 +302,8 @@ class _Reader:
             if not hint:
                 labels_of = self._quantity(name).labels
                 hint = f", as in {name.text} = {labels_of[0]}" if labels_of else ""
-            self.expected(f"=, !=, <, <=, >, >= or in after {shown(name.text)}{hint}")
+            signs = "behind =, !=, <, <=, >, >= or in"
+            self.expected(f"a value of {shown(name.text)} {signs}{hint}")
         labels: list[Word] = []
         if sign == "in" and self._take("["):
             return self._numbers(name, at, self._interval())
@@ -385,7 +386,7 @@ class _Reader:
 
     def _quantity(self, name: Word) -> Quantity:
         if name.text not in self._quantities:
-            known = ", ".join(self._quantities)
+            known = ", ".join(map(_named, self._quantities.values()))
             self._fail(f"unknown quantity {shown(name.text)}; allowed: {known}", name.at)
         return self._quantities[name.text]
 
@@ -488,6 +489,13 @@ class _Reader:
 
     def _fail(self, reason: str, at: int) -> NoReturn:
         raise QueryError(reason, self._text, at)
+
+
+def _named(quantity: Quantity) -> str:
+    """Return a quantity's name, with its values if these are two words."""
+    labels = quantity.labels or ()
+    two = len(labels) == 2 and quantity.values is None
+    return f"{quantity.name} ({' / '.join(labels)})" if two else quantity.name
 
 
 # --- a user's own quantities: by a function of a hypothesis, or by conditions ---------------------

@@ -464,20 +464,21 @@ class StepwisePosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        counted = " (untempered)" if self.tempering else ""
+        counted = "; here a frame counts in full" if self.tempering else ""
         if self._strength_weight != 1:
-            counted = f" (untempered, except strengths: {self._strength_weight:g} a frame)"
+            counted += f", for strengths {self._strength_weight:g}"
         value = self.log_evidence
         density = str(value) if value.error > 0 else f"{value:.1f}"
-        evidence = f"log density of the video {density} nats{counted}"
+        evidence = f"the log density of the video is {density} nats{counted}"
         told += wrapped("evidence", evidence)
         if self.tempering:
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
         what = "calls" if self._table.users_simulator else "searches"
-        words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
+        words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a frame"
+        words += " over all sets" if found["planner_seeds"] > 1 and what == "searches" else ""
         if isinstance(cost.get("seconds"), int | float):
-            words += f", in {cost['seconds']:.1f} s (video: {cost['video_seconds']:.1f} s)"
+            words += f", in {cost['seconds']:.1f} s (the film: {cost['video_seconds']:.1f} s)"
         return [*told, *wrapped("cost", words)]
 
     def _notes(self) -> list[str]:

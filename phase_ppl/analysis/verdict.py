@@ -62,7 +62,6 @@ _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
 """State -> its mark, colour and meaning, the worst state first."""
 
 _CLOSED_LOOP: Final = "use the closed loop: infer without kernel="
-_ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 _TRACKS: Final = "check the tracks of these frames"
 _RATE: Final = (
     "a frame is a twelfth of a second, and tracks with another number of frames a second are read "
@@ -76,6 +75,7 @@ ODD_PACE: Final = {
 """What is odd about tracks that no agents of a world can make."""
 
 _SUCCEEDED: Final = "simulations succeeded"
+_ANSWERS: Final = "answers above 1/2"
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -104,16 +104,29 @@ def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[
     ordered = sorted(checks, key=lambda one: list(_LOOKS).index(one.state))
     worst = ordered[0].state if ordered else "ok"
     trust = {"fail": "do not trust", "doubt": "not certain"}.get(worst, "confident")
+    said = trust.capitalize()
+    if [(one.name, one.advice) for one in ordered if one.state != "ok"] == [(_ANSWERS, "")]:
+        said += ": the computation is fine, but the video does not decide"
     parts = [
         f"{_of(name)}{one['label']} ({one['probability']:.2f})" for name, one in leaders.items()
     ]
+    apart = any(
+        one.get("of_leading_goals", one["label"]) != one["label"] for one in leaders.values()
+    )
     return {
         "trust": trust,
-        "answer": f"{'; '.join(parts)}. {trust.capitalize()}.",
+        "answer": f"{'; '.join(parts)}{', each by itself' if apart else ''}. {said}.",
         "checks": [one._asdict() for one in checks],
-        "next": next((one.advice for one in ordered if one.advice), _ONWARD),
+        "next": next((one.advice for one in ordered if one.advice), _onward(leaders)),
         "verdict": " ".join(one.says for one in ordered if one.says) or closing,
     }
+
+
+def _onward(leaders: Record) -> str:
+    """Return what to ask of an answer that needs nothing more."""
+    *_, (name, one) = leaders.items()
+    asked = f"post.why('{name} = {one['label']}')"
+    return f"post.over_time(), {asked}: what each frame says"
 
 
 def _of(name: str) -> str:
@@ -135,7 +148,7 @@ def verdict_lines(found: Record) -> list[str]:
     """Return the answer, the checks, the worst one's text and the next step, as lines."""
     shown, label = list(wrapped("answer", found["answer"])), "checks"
     for one in found["checks"]:
-        row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
+        row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<28} {one['limit']}"
         shown.append(f"{label:<{LABEL}}{row}".rstrip())
         label = ""
     if legend := _legend(found):
@@ -269,17 +282,24 @@ def _decided(leaders: Record, advice: str) -> Check:
     The advice is for answers that smaller errors could decide.
     """
     unsure = {name: one for name, one in leaders.items() if not one["sure"]}
-    told = [
-        f"{_asked(name)} '{one['label']}' "
-        f"({with_error(one['probability'], math.nan if one['error'] is None else one['error'])}) "
-        f"or '{one['next']}' ({one['next_probability']:.3g})"
-        for name, one in unsure.items()
-    ]
+    told = [f"{_asked(name)} {_rivalling(one)}" for name, one in unsure.items()]
     says = f"Not decided: {'; '.join(told)}."
     if not any(_may_be_sure(one) for one in unsure.values()):
-        says, advice = f"{says} The video leaves that open: smaller errors would not decide it.", ""
+        says, advice = f"{says} Smaller errors would not decide it.", ""
     value = f"{len(leaders) - len(unsure)} of {len(leaders)}, allowing for errors"
-    return Check("answers above 1/2", "doubt" if unsure else "ok", value, "all", says, advice)
+    return Check(_ANSWERS, "doubt" if unsure else "ok", value, "all", says, advice)
+
+
+def _rivalling(one: Record) -> str:
+    """Return in words the leading answer, the next, and those about as probable."""
+    error = math.nan if one["error"] is None else one["error"]
+    named = [f"'{one['label']}' ({with_error(one['probability'], error)})"]
+    named.append(f"'{one['next']}' ({one['next_probability']:.3g})")
+    if len(alike := one["alike"]) == 1:
+        named += [f"'{label}' ({probability:.3g})" for label, probability in alike.items()]
+    elif alike:
+        named.append(f"one of {len(alike)} others about as probable")
+    return f"{', '.join(named[:-1])} or {named[-1]}"
 
 
 def _may_be_sure(one: Record) -> bool:
@@ -348,7 +368,7 @@ def _enough(found: Record, longer: str) -> Check:
         f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
         f"{needed:g}. Another run may well differ."
     )
-    state, value = "fail" if size < needed else "ok", f"effective sample size {size:.1f}"
+    state, value = "fail" if size < needed else "ok", f"{size:.1f} effective draws"
     return Check(name, state, value, f"{needed:g} or more", says, longer)
 
 
@@ -362,10 +382,10 @@ def _by_prior(found: Record) -> Iterator[Check]:
         shown = {name: f"{math.floor(1000 * share) / 1000:.3f}" for name, share in known.items()}
         short = [f"{shown[name]} for {_asked(name)}" for name in known if known[name] <= ALONE]
         says = (
-            f"With all goals alike beforehand there would be {' and '.join(short)}: above {ALONE} "
-            "the video decides, up to 1/2 the prior."
+            f"Under a uniform prior over pairs of goals there would be {' and '.join(short)}: "
+            f"above {ALONE} the video decides, up to 1/2 the prior."
         )
-        value = f"lowest {min(shown.values())}, uniform prior"
+        value = f"{min(shown.values())}+ with a uniform prior"
         state = "doubt" if short else "ok"
         yield Check("the video decides", state, value, f"above {ALONE}", says)
 
@@ -374,17 +394,15 @@ def _tried(found: Record, longer: str) -> Iterator[Check]:
     n, untried = found["untried_rivals"], found["untried"]
     says = f"Never simulated: {n} rival{'s' * (n > 1)} of the leading goals, at another landmark."
     state, value = ("doubt", f"{n} untried") if n else ("ok", "all")
-    yield Check("rivals tried", state, value, "none untried", says, longer)
+    yield Check("rivals tried", state, value, "all", says, longer)
     if untried is not None and found["effective_size_needed"] is not None:  # else it is said
         says = (
             f"Goals with {untried:.2f} of the prior's mass were never simulated to the end, and "
             "count as impossible."
         )
-        few = "unknown" if untried >= UNTRIED else "ok"
-        value = f"{1 - untried:.2f} of the prior"
-        # no bound is missed: some kernels need not try all
-        limit = f"{1 - UNTRIED:.2f} or more" if few == "ok" else "the rest is unknown"
-        yield Check("goals simulated", few, value, limit, says)
+        # below the bound it is no doubt: some kernels need not try all
+        few, limit = "unknown" if untried >= UNTRIED else "ok", f"{1 - UNTRIED:.2f} or more"
+        yield Check("goals simulated", few, f"{1 - untried:.2f} of the prior", limit, says)
 
 
 def _accepted(found: Record, longer: str) -> Check:
@@ -405,41 +423,38 @@ def _agreement(found: Record, longer: str) -> Check:
     if n == 1:
         says = "With one particle nothing shows whether another would agree: use more."
         return Check(name, "unknown", "one particle", limit, says)
-    least = min(found["agreement"].values())
+    lowest = min(found["agreement"], key=lambda goal: found["agreement"][goal])
     split = [
-        f"on {_asked(goal)}, where {_camps(found['leading_goals'][goal])}"
+        f"on {_asked(goal)}: {_camps(found['leading_goals'][goal])}"
         for goal, share in found["agreement"].items()
         if share < AGREED
     ]
     says = (
-        f"The {n} particles do not agree {'; '.join(split)}. More iterations would tell "
-        "real uncertainty from chains that have not mixed."
+        f"The {n} particles do not agree {'; '.join(split)}. Either the video does not decide, or "
+        "the chains have not mixed; more iterations would tell."
     )
-    state = "doubt" if split else "ok"
-    return Check(name, state, f"at least {least:.0%} on each goal", limit, says, longer)
+    value = f"{found['agreement'][lowest]:.0%} on {_asked(lowest)}"
+    return Check(name, "doubt" if split else "ok", value, limit, says, longer)
 
 
 def _camps(leading: Mapping[str, int]) -> str:
-    """Return which goals the particles favour, as "7 favour 'A', 5 favour 'B', 3 others"."""
+    """Return which goals the particles favour: "7 favour 'A', 5 favour 'B', 3 others"."""
     named = [(goal, n) for goal, n in list(leading.items())[:2] if n > 1]
     rest = sum(leading.values()) - sum(n for _, n in named)
     if not named:
         return f"all {rest} favour different ones"
     parts = [f"{n} favour '{goal}'" for goal, n in named]
-    return ", ".join([*parts, f"{rest} others"] if rest else parts)
+    parts += [f"{rest} others" if rest > 1 else "1 another"] if rest else []
+    return ", ".join(parts)
 
 
 def _mixing(found: Record, longer: str) -> Check:
     """Return the check of whether chains differ more than draws of one distribution."""
-    worst = {"the log joint": [found["scalars"]["log_joint"]["r_hat"]]}
+    known = {"the log joint": (found["scalars"]["log_joint"]["r_hat"], "")}
     for name, labels in found["categories"].items():
-        titled = name.replace("_", " ").replace("goal ", "goal of ")
-        worst[titled] = [one["r_hat"] for one in labels.values()]
-    known = {
-        name: max(there)
-        for name, r_hats in worst.items()
-        if (there := [one for one in r_hats if one is not None])
-    }
+        each = [(one["r_hat"], f" '{label}'") for label, one in labels.items()]
+        known[_asked(name)] = max(each, key=lambda one: one[0] or 0.0, default=(None, ""))
+    known = {name: one for name, one in known.items() if one[0] is not None}
     draws, limit, name = found["iterations"], f"{MIXED:g} or less", "chains have mixed"
     if draws < MIN_DRAWS or not known:
         says = "R-hat does not exist where nothing changes within half a chain."
@@ -449,10 +464,10 @@ def _mixing(found: Record, longer: str) -> Check:
                 f"there {'is' if draws == 1 else 'are'} {draws}."
             )
         return Check(name, "unknown", f"{draws} draw{'s' * (draws != 1)} each", limit, says)
-    of = max(known, key=lambda name: known[name])
-    apart = [f"{r:.2f} of {name}" for name, r in known.items() if r > MIXED]
+    of = max(known, key=lambda name: known[name][0])
+    apart = [f"{r:.2f} of {name}{label}" for name, (r, label) in known.items() if r > MIXED]
     says = f"R-hat {', '.join(apart)}; below 1.01 chains agree, above {MIXED:g} they do not."
-    value = f"R-hat {known[of]:.2f} of {of}"
+    value = f"R-hat {known[of][0]:.2f} of {of}"
     return Check(name, "doubt" if apart else "ok", value, limit, says, longer)
 
 

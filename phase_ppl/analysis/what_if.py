@@ -213,13 +213,18 @@ class WhatIf(Printed):
 
     def _told(self, agent: str) -> str:
         seconds, told, about = self.reached(agent).values, [], self._about_removed(agent)
+        holder = _entity(agent, self.world.agents)
+        # one to get or keep away has no time: it counts at the end
+        literals = (goal_literal(row[holder], holder, self.world) for row in self.goals)
+        timed = np.array([literal.positive for literal in literals])
+        median = "median" if timed.all() else "median of goals to get somewhere"
         for share, row in zip(self.probability(agent), seconds, strict=True):
-            reached = row[np.isfinite(row)]
+            reached = row[np.isfinite(row) & timed]
             after = np.median(reached) if reached.size else np.inf
-            when = "" if np.isinf(after) else f" (median: at {after:.1f} s)"
+            when = "" if np.isinf(after) else f" ({median}: at {after:.1f} s)"
             if self.begin and after <= self.begin / FRAMES_PER_SECOND:
                 when = " (it is reached already)"
-            told.append(f"{share}{when}")
+            told.append(f"{share}{when if timed.any() else ' (at the end)'}")
         if len(told) == 1:
             return f"probability {told[0]}"
         if about:
@@ -227,13 +232,14 @@ class WhatIf(Printed):
         change, (before, after) = self.difference(agent), np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
-            so = f"; no difference found ({change})"
+            so = "may be chance"
         elif self.is_removal and not about:
             names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
-            so = f": {names} was {'in its way' if change > 0 else 'of help'} ({change})"
+            so = f"{names} was {'in its way' if change > 0 else 'of help'}"
         else:
-            so = f": {'more' if change > 0 else 'less'} often ({change})"
-        return f"probability {told[0]} as it is, {told[1]} with {self.change}{so}"
+            so = f"{'more' if change > 0 else 'less'} often"
+        both = f"unchanged {told[0]}; with {self.change} {told[1]}"
+        return f"probability {both}; difference {change}: {so}"
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"

@@ -92,8 +92,11 @@ _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 _LEGEND: Final = (
-    "rank: mean place of the truth among draws, from 0 to 1; draws are in order of newtons, or of "
-    "their goal's or relation's probability. p_even: p-value of a test that places are uniform."
+    "rank: mean place of the truth, from 0 (lowest) to 1, among draws in order of newtons, "
+    "or of the probability of their goal or relation; 0.5 if calibrated. p_even: p-value of a test "
+    f"that places are uniform; told if below {DOUBTFUL:g}. right: share of right answers, low "
+    "to high its 95 % interval. confidence: mean probability of the answers. log_score: mean log "
+    "probability of the truth, nats; expected: its mean if all probabilities were true."
 )
 
 
@@ -248,7 +251,8 @@ class Calibration(Printed):
                 verdicts.append(f"{how}: the truth scores {beyond}")
         if found["p_even"] < DOUBTFUL:
             verdicts.append(
-                f"ranks are not uniform (p = {found['p_even']:.2g}): biased or wrongly sure"
+                f"ranks are not uniform (p = {found['p_even']:.2g}): biased, too sure or not sure "
+                "enough; .plot() shows which"
             )
         return {**found, "verdict": ", ".join(verdicts) or f"nothing wrong found in {n} videos"}
 

@@ -19,8 +19,8 @@ LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
-    f"{LEVEL:.0%} intervals: accuracies by Clopper-Pearson with the effective number of "
-    "independent answers, other scores by resampling events"
+    f"{LEVEL:.0%} intervals: of accuracies by Clopper-Pearson, with n lowered for the correlation "
+    "of answers to one event; of other scores by resampling events"
 )
 
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair
@@ -146,7 +146,7 @@ def _tables(models: _Rows, people: Mapping[str, Any]) -> Iterator[tuple[str, _Co
             for name, words in _VERDICTS.items()
             if any(at(metrics, places[name]) for metrics in models.values())
         ]
-        yield f"{word} right {', '.join(known)}", places, models
+        yield f"{word} right, of all {', '.join(known)}", places, models
     agreeing = {**models, PEOPLE: _among_people(models)}
     for where, words in (
         ("human", " (people: r of halves; bound of the log score)"),

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _UNKNOWN: Final = (
-    "errors of all answers are unknown, as with one set of searches (planner_seeds=1): no answer "
-    "is sure, and no event is decided"
+    "the errors of all answers are unknown (one set of searches, planner_seeds=1, has none): so no "
+    "answer is sure, and no event is decided"
 )
 _FEW: Final = 3  # failures and notes that are printed
 

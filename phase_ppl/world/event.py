@@ -363,7 +363,7 @@ class Observation:
     def duration(self) -> str:
         """Number of frames and duration [simulated s], in words."""
         seconds = (self.n_frames - 1) / FRAMES_PER_SECOND
-        return f"{self.n_frames} frames ({seconds:.1f} simulated s)"
+        return f"{self.n_frames} frames ({seconds:.1f} s of simulated time)"
 
     def __repr__(self) -> str:
         bodies = f"{self.positions.shape[1]} bodies"
@@ -371,8 +371,11 @@ class Observation:
         if seen.size:
             (x0, y0), (x1, y1) = seen.min(axis=0), seen.max(axis=0)
             bodies += f", x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}"
-        if n := int(np.isnan(self.positions[..., 0]).any(axis=1).sum()):
-            bodies += f"; some unseen in {n} frames"
+        gone = np.isnan(self.positions[..., 0])
+        if n := int(gone.any(axis=1).sum()):
+            who = np.flatnonzero(gone.any(axis=0)).tolist()
+            named = f"body {who[0]}" if len(who) == 1 else f"{len(who)} of them"
+            bodies += f"; {named} unseen in {n} frames"
         return f"<observation: {'; '.join(filter(None, (self.duration, bodies, self.said)))}>"
 
 

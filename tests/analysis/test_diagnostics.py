@@ -234,6 +234,31 @@ def test_leaders_say_by_how_much_they_lead() -> None:
         assert not unsure.leaders()["goal_red"]["sure"], "0.6 of twenty draws, or one draw"
 
 
+def test_leading_goals_that_do_not_lead_together_are_said_to_lead_each_by_itself() -> None:
+    both, red_alone = hypothesis(BLUE_TO_RED, BLUE_TO_RED), hypothesis(BLUE_TO_RED, PINK_TO_BLUE)
+    greens = [hypothesis(red, BLUE_TO_RED) for red in (PINK_TO_BLUE, "Get pink item to red lm")]
+    each = [[place] for place in range(20)]
+    post = posterior_of([both] + [red_alone] * 7 + greens * 6, each)
+    found, answer = post.leaders(), post.diagnostics()["answer"]
+    assert (found["relation"]["label"], found["relation"]["of_leading_goals"]) == (
+        "neutral",
+        "friendly",
+    )
+    assert "neutral (0.95), each by itself." in answer
+    assert "each by itself" not in posterior_of([A] * 20, each).diagnostics()["answer"]
+
+
+def test_goals_about_as_probable_as_the_first_are_named_or_counted() -> None:
+    def of(n_goals: int) -> Posterior:
+        some = [hypothesis(goal, "Get pink item to red lm") for goal in range(2, 2 + n_goals)]
+        return posterior_of(some * 4, [[place] for place in range(4 * n_goals)])
+
+    third, others = of(3).diagnostics()["verdict"], of(5)
+    assert f"or '{GOALS[4]}' (0.333)" in third
+    assert "or one of 3 others about as probable" in others.diagnostics()["verdict"]
+    assert "2 other goals                       0.40 ±" in str(others)
+
+
 # --- R-hat and effective sizes --------------------------------------------------------------------
 
 

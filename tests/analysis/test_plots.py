@@ -165,7 +165,7 @@ def test_posteriors_are_tables_and_figures_show_themselves(tmp_path: Path) -> No
     assert found["answer"] in shown
     assert all(f"<strong>{one['name']}</strong>" in shown for one in found["checks"])
     assert "<pre" in shown
-    assert "(video: 0.8 s)" in str(post)
+    assert "(the film: 0.8 s)" in str(post)
     for name in ("missing/a.png", "a.odd"):
         with pytest.raises(OutputError, match=name):
             ppl.plot.over_time(post, tmp_path / name)

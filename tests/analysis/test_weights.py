@@ -246,7 +246,7 @@ def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> 
     found = post.diagnostics()
     assert "0.50 of the prior's mass were never simulated" in found["verdict"]
     (check,) = (one for one in found["checks"] if one["name"] == "goals simulated")
-    assert (check["state"], check["limit"]) == ("unknown", "the rest is unknown")
+    assert (check["state"], check["limit"]) == ("unknown", "0.95 or more")
 
 
 # --- over time: by hand, against the posterior, and what later frames can change ------------------

@@ -105,7 +105,8 @@ def test_no_kernel_is_starved_by_what_it_declares() -> None:
     assert 100 <= spent < 100 + last
     declared = 4 * kernel_info("gibbs").sims_per_step
     assert simulations[1:].max() <= declared
-    said = f"{spent} simulations, {post.cost['frames']} frames (of a budget of 100"
+    said = f"{spent} simulations (4 at the start, {spent - 4} in iterations), "
+    said += f"{post.cost['frames']} frames (of a budget of 100"
     assert said in " ".join(str(post).split())
 
 

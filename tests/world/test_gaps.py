@@ -32,7 +32,7 @@ def with_gap() -> Event:
 def test_gaps_are_said_and_can_be_put_on_straight_lines() -> None:
     seen = with_gap().observation
     assert seen.has_gaps
-    assert "some unseen in 2 frames" in repr(seen)
+    assert "body 3 unseen in 2 frames" in repr(seen)
     filled, whole = seen.filled(), make_trajectory(6)
     assert not filled.has_gaps
     assert filled.filled() is filled
