@@ -26,14 +26,12 @@ from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.prior_masses import MOST_HYPOTHESES, PriorMasses
 from phase_ppl.models.priors import (
     available,
-    correlated_strengths,
     named,
     no_social_goals,
     register_prior,
     relation_first,
     sparse_social,
     strength_levels,
-    symmetric_alphas,
     uniform,
 )
 from phase_ppl.models.stepwise import stepwise_prior
@@ -50,7 +48,6 @@ _DRAWS: Final = 4000  # of a program's further sites
 __all__ = [
     "Summary",
     "available",
-    "correlated_strengths",
     "named",
     "no_social_goals",
     "register_prior",
@@ -58,7 +55,6 @@ __all__ = [
     "sparse_social",
     "strength_levels",
     "summary",
-    "symmetric_alphas",
     "uniform",
 ]
 
