@@ -500,14 +500,14 @@ class TestOwnParts:
         file = tmp_path / "mine.py"
         file.write_text(MINE)
         own = {name: f"{file}:{name}" for name in ("still", "plain", "Flat", "flat")}
-        given = ["--simulator", own["still"], "--kernel", own["plain"], "--noise", "fixed"]
+        given = ["--simulator", own["still"], "--kernel", own["plain"]]
         sampling = ["--kernel", "local_mh"]
         given += ["--likelihood", f"{own['Flat']}:beta=0.2"]
         assert main(["infer", "collaborate", *given]) == 2
         assert f"running {file} for its simulator still" in capsys.readouterr().err
         model = asked["model"]
         assert (model.simulator.__name__, asked["kernel"].__name__) == ("still", "plain")
-        assert (model.likelihood.beta, model.noise) == (0.2, "fixed")
+        assert model.likelihood.beta == 0.2
         assert main(["infer", "collaborate", *sampling, "--likelihood", own["flat"]]) == 2
         assert asked["model"].likelihood.beta == 0.5
         capsys.readouterr()

@@ -146,7 +146,6 @@ def resume(options: Options) -> int:
         planner = None
         if options.simulator is None and before["planner"] is not None:
             planner = phase_ppl.PlannerConfig.from_dict(before["planner"])
-        options.noise = options.noise or before["noise"]
         model = users_parts.model(options, planner)
     folder = options.file.parent
     # a posterior beside the file is of the same run

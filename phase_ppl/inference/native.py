@@ -27,7 +27,7 @@ from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import SEED_SITE, EventProgram, event_salt
+from phase_ppl.models.program import SEED_SITE, EventProgram
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, check_memory, instance_of
 from phase_ppl.world.event import Event
@@ -49,8 +49,7 @@ class OpenProgram(EventProgram):
         bound = model.for_sampling().in_world(scene, observation)
         self.event, self.settings = event, settings
         self._runner, self._open = runner, True
-        salt = event_salt(scene, observation)
-        super().__init__(bound, 0, observation.n_frames, salt)
+        super().__init__(bound, 0, observation.n_frames)
         self._bridge = SimulatorBridge(runner, observation.n_frames, self.space, raises=True)
         self.bridge = self._bridge.handle
 
@@ -202,7 +201,7 @@ def program(
     simulate together.
 
     The seed is a site of the chain's state. So the same point always has the same likelihood
-    (pseudo-marginal). With ``Model(noise="fixed")`` the seed follows from the hypothesis.
+    (pseudo-marginal).
 
     JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 

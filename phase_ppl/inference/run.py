@@ -44,7 +44,7 @@ from phase_ppl.models.density import remembered, tracing
 from phase_ppl.models.effective import WorldPrior, as_given
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import EventProgram, Lookup, event_salt
+from phase_ppl.models.program import EventProgram, Lookup
 from phase_ppl.world.errors import InvalidSettingError, instance_of, whole_number
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
@@ -65,7 +65,6 @@ class Data(NamedTuple):
     """All that compiled code gets of an event."""
 
     proposal: BottomUpTables | Proposal  # tables of its windows, or a kernel's learned proposal
-    salt: jax.Array | int  # a number that identifies it
     bridge: jax.Array | int  # handle of the bridge that simulates
     observed: jax.Array | int | None  # number of frames, where arrays are longer
     table: Lookup | None = None  # what is looked up in place of a simulation
@@ -161,7 +160,6 @@ class Run:
                 "prior": prior,
                 "beta": model.likelihood.beta,
                 "planner": model.planner_config().to_dict(),
-                "noise": model.noise,
             }
         return {
             "model": stored,
@@ -210,7 +208,7 @@ class Run:
         else:
             proposal = padded(tables, window_count(self.recipe.n_frames, settings.window))
         observed = self.n_frames if self._is_padded else None
-        return Data(proposal, event_salt(scene, observation), bridge, observed)
+        return Data(proposal, bridge, observed)
 
     def adaptation(self, data: Data) -> Adaptation | None:
         """Return the adaptation of a kernel that adapts; None for others."""
@@ -238,7 +236,6 @@ def model_again(stored: Mapping[str, Any]) -> Model:
         prior=stored["prior"],
         likelihood=RadialLikelihood(stored["beta"]),
         planner=PlannerConfig.from_dict(stored["planner"]),
-        noise=stored["noise"],
     )
 
 
@@ -259,8 +256,8 @@ def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
-    proposal, salt, bridge, observed, table = data
-    program = EventProgram(model, bridge, n_frames, salt, observed, table)
+    proposal, bridge, observed, table = data
+    program = EventProgram(model, bridge, n_frames, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
         of, share = (model.prior, model.sites), settings.prior_share
@@ -382,7 +379,7 @@ def _identity(recipe: Recipe, what: str) -> str | None:
     if plain is None or prior is None or not known or type(likelihood) not in _BY_FRAME:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
-    parts = info.name, plain, prior, model.noise, numbers, length
+    parts = info.name, plain, prior, numbers, length
     kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
     world = f" {model.prior.world.to_dict()!r}" if isinstance(model.prior, WorldPrior) else ""
     return f"{what} of {parts!r} {kind!r}{world}"
@@ -395,7 +392,7 @@ RECENT: Final = 3  # iterations whose mean is what the next one is expected to t
 
 IDLE: Final = 100
 """Iterations in a row without a simulation, after which a run ends: its budget will never be spent.
-This happens with fixed noise, once all hypotheses have been simulated."""
+This happens if no proposal has prior mass."""
 
 clock: Callable[[], float] = time.perf_counter  # seconds of wall time
 

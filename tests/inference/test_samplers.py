@@ -272,7 +272,7 @@ def counted() -> None:
 def test_what_cannot_work_is_refused_before_anything_is_simulated(
     kernel: str, options: dict[str, Any], message: str
 ) -> None:
-    given = {"workers": 1, "progress": False, "prior": "uniform", "noise": "fresh", **options}
-    model = Model(given.pop("prior"), simulator=never_called, noise=given.pop("noise"))
+    given = {"workers": 1, "progress": False, "prior": "uniform", **options}
+    model = Model(given.pop("prior"), simulator=never_called)
     with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
         ppl.infer(EVENT, model, kernel=kernel, **given)
