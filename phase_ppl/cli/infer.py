@@ -59,7 +59,7 @@ def infer(options: Options) -> int:
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
             beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
             several times
-        --on-failure reject|raise|retry: what becomes of a failed simulation; default reject
+        --on-failure reject|raise: what becomes of a failed simulation; default reject
         --simulation-seconds S: a simulation that takes longer has failed; default: none has
         --weights NAME: of the posterior; default: those that are valid for the kernel and the
             length

@@ -103,8 +103,6 @@ def infer(
 
     * "reject": the likelihood is zero. If a third of a hypothesis's simulations fail, its mean
       likelihood is a third lower.
-    * "retry": the simulation is repeated with other seeds, up to three times, then rejected. The
-      likelihood is that of successful runs, so failures hardly cost a hypothesis anything.
     * "raise": the run ends with the error, which carries the results so far.
 
     Args:
@@ -130,7 +128,7 @@ def infer(
             iteration, and both end after 100 iterations in a row without a simulation.
             ``phase_ppl.seconds(n)``: an iteration begins only if it is expected to end within n
             seconds of wall time. The initial particles come first in any case.
-        on_failure: "reject", "raise" or "retry", see above.
+        on_failure: "reject" or "raise", see above.
         simulation_seconds: seconds after which a simulation fails; by default never. With a budget
             of seconds, no initial simulation may take longer than the budget.
         checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial

@@ -480,8 +480,7 @@ class Pace:
 
     Attributes:
         done: finished iterations; -1: not even the initial particles are there.
-        simulations: made by the initial particles and the finished iterations; retries of failed
-            simulations do not count.
+        simulations: made by the initial particles and the finished iterations.
         frames: simulated in them.
         recent: seconds that the last iterations took.
     """

@@ -143,8 +143,7 @@ def simulations(n: int) -> Budget:
 
     Only simulations that were run count. A proposal without prior mass, or with a known simulation,
     costs nothing. A simulation stopped early counts as one. An iteration that has begun is
-    finished, so a run may exceed the budget by one iteration of all particles. Retries of failed
-    simulations (``on_failure="retry"``) come on top.
+    finished, so a run may exceed the budget by one iteration of all particles.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.

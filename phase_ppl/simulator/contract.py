@@ -433,4 +433,4 @@ class Statistics:
     seconds_simulating: float = 0.0  # summed over workers
     seconds_waiting: float = 0.0  # wall time spent in ``run``
     failures: int = 0  # simulations that failed
-    retries: int = 0  # run again because they failed or were lost, mostly with their worker
+    retries: int = 0  # run again because they were lost, mostly with their worker
