@@ -44,8 +44,6 @@ class Simulator(Protocol):
 
     A simulator may have more methods:
 
-    * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, entity, 3)``, for an
-      engine that runs many simulations at once. If it exists, it is used, in this process.
     * ``settings() -> dict``: all else that determines its simulations, as plain data, to be stored
       with a run.
     * ``warm_up()``: does once the work that all processes can share, such as compiling.
@@ -224,47 +222,6 @@ def in_time(
     if time.perf_counter() >= deadline:
         raise OutOfTime("the time of the run is over")
     return failed(too_long(limit))
-
-
-def simulate_together(
-    simulator: Any,
-    scene: Scene,
-    hypotheses: Sequence[Hypothesis],
-    seeds: Sequence[int],
-    observed_positions: FloatArray,
-) -> list[SimulationResult]:
-    """Run many simulations by one call of the simulator's ``simulate_batch``.
-
-    Each result has an equal share of the seconds. An error of the call is a failure of all.
-    """
-    n_frames = len(observed_positions)
-    clock = time.perf_counter()
-    try:
-        batch = np.asarray(
-            simulator.simulate_batch(
-                scene,
-                [hypothesis.effective() for hypothesis in hypotheses],
-                [random_generator(seed) for seed in seeds],
-                n_frames,
-            ),
-            dtype=np.float64,
-        )
-        expected = (len(hypotheses), n_frames, observed_positions.shape[1], 3)
-        if batch.shape != expected:
-            raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
-    except (Exception, SystemExit) as error:
-        why = error_text(error)
-        results = [
-            SimulationResult.failed(hypothesis, seed, n_frames, why)
-            for hypothesis, seed in zip(hypotheses, seeds, strict=True)
-        ]
-    else:
-        results = [
-            _follow(functools.partial(iter, rows), hypothesis, seed, observed_positions)
-            for rows, hypothesis, seed in zip(batch, hypotheses, seeds, strict=True)
-        ]
-    seconds = (time.perf_counter() - clock) / max(len(results), 1)
-    return [dataclasses.replace(result, seconds=seconds) for result in results]
 
 
 def simulate_trajectory(

@@ -17,9 +17,7 @@ from phase_ppl.simulator.contract import (
     SimulationResult,
     Simulator,
     Statistics,
-    in_time,
     simulate_one,
-    simulate_together,
     too_long,
 )
 from phase_ppl.simulator.processes import (
@@ -83,7 +81,6 @@ class Runner:
 
     Args:
         simulator, scene: what to run; may be defined anywhere, also in ``__main__`` or a notebook.
-            A simulator with ``simulate_batch`` needs no workers: batches run in this process.
         observation: the frames are compared with it.
         workers: processes; 1 simulates in this process; None: one per usable core. With an
             ``executor``, how many simulations it gets at a time; None: all.
@@ -102,7 +99,6 @@ class Runner:
         patience: time, by ``time.perf_counter``. Once a simulation took too long, all that would
             begin after this time fail.
         deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
-        stops_early: whether simulations stop at their ceilings; those of a batch do not.
 
     Raises:
         InvalidSettingError: ``workers`` is out of range, or the simulator cannot be called or sent
@@ -135,12 +131,10 @@ class Runner:
         self.on_result: Callable[[SimulationResult], None] | None = None
         self.scene = scene
         self._work = Work(simulator, scene, np.array(observation.positions))
-        self._together = hasattr(simulator, "simulate_batch") and executor is None
-        self.stops_early = not self._together
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
         self._pool: OwnWorkers | BorrowedExecutor | None = None
-        if executor is not None or ((slots or 1) > 1 and not self._together):
+        if executor is not None or (slots or 1) > 1:
             what, warms_up = f"simulator={shown(simulator)}", hasattr(simulator, "warm_up")
             self._pool = pool_for(self._work, what, slots, executor, warms_up)
 
@@ -196,17 +190,14 @@ class Runner:
         with self._one_run:
             clock = time.perf_counter()
             try:
-                done = self._run_distinct(list(dict.fromkeys(requests)))
+                distinct = list(dict.fromkeys(requests))
+                if self._pool is None:
+                    done = self._run_here(distinct)
+                else:
+                    done = self._run_in(self._pool, distinct)
             finally:
                 self.statistics.seconds_waiting += time.perf_counter() - clock
         return [done[request] for request in requests]
-
-    def _run_distinct(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
-        if self._together:
-            return self._run_together(requests)
-        if self._pool is None:
-            return self._run_here(requests)
-        return self._run_in(self._pool, requests)
 
     def _run_here(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         self._check_cancelled()
@@ -222,26 +213,6 @@ class Runner:
         """Return the seconds for a simulation that begins now."""
         over = self._cut and time.perf_counter() > self.patience
         return 0.0 if over else self.limit
-
-    def _run_together(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
-        self._check_cancelled()
-        results: list[SimulationResult] = []
-        if requests:
-            hypotheses, seeds, _ = zip(*requests, strict=True)
-            simulator, scene, observed = self._work
-            limit = self._limit()
-            results = in_time(
-                lambda: simulate_together(simulator, scene, hypotheses, seeds, observed),
-                # the batch may take the time of all, but the limit is of one
-                lambda _: [self._failed(request, too_long(limit)) for request in requests],
-                limit * len(seeds),
-                [self._stop],
-                self.deadline,
-            )
-        self._check_cancelled()
-        for result in results:
-            self._count(result)
-        return dict(zip(requests, results, strict=True))
 
     def _run_in(
         self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Job]

@@ -106,17 +106,6 @@ def test_workers_start_light_are_as_many_as_there_is_to_do_and_get_the_work_once
     assert "heavy [], threads ['1'], interrupts blocked True" in str(result.failure)
 
 
-def test_a_simulator_that_batches_gets_one_batch_in_this_process() -> None:
-    batched, finished = toys.Batched(), []
-    with runner(toys.drift, workers=1) as one, runner(batched, workers=2) as many:
-        many.on_result = finished.append
-        results = many.run(*REQUESTS[:2])
-        assert_same(results, one.run(*REQUESTS[:2]))
-        assert many.run([], []) == []
-    assert batched.sizes == [4]  # two requests are the same
-    assert len(finished) == 4
-
-
 # --- on an executor of somebody else ---------------------------------------------------------
 
 
