@@ -28,7 +28,6 @@ from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import EventKernel, Stage, through
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, check_event
-from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
     ReadingCost,
@@ -137,9 +136,8 @@ class Run:
 
     def record(self, iterations: int) -> dict[str, Any]:
         """Return all that determines the result of ``iterations`` iterations, as plain data."""
-        assert self.settings.strength is not None, "it is settled"
-        simple = vars(self.settings) | {"strength": estimator_name(self.settings.strength)}
-        del simple["beta"]  # the model's likelihood has it
+        # the model's likelihood has beta
+        simple = {name: value for name, value in vars(self.settings).items() if name != "beta"}
         return {
             "kernel": {"name": self.info.name, **self.kernel_options},
             "chains": self.chains,

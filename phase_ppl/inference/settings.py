@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -20,16 +20,15 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
-if TYPE_CHECKING:
-    from phase_ppl.inference.strength import Estimator
-
 Sign = Literal["intended", "printed"]
 Unit = Literal["arena", "printed"]
 Form = Literal["learned", "paper", "closed_loop"]
+Strength = Literal["network", "analytic"]
 
 SIGNS: Final = get_args(Sign)
 UNITS: Final = get_args(Unit)
 FORMS: Final = get_args(Form)
+STRENGTHS: Final = get_args(Strength)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,9 +50,8 @@ class SimpleSettings:
         prior_share: weight of the prior in the proposal. 0, as printed, is for ``rule="paper"``
             only: what a window excludes, such as strengths beyond 150 to 600 N, is never tried.
         sign: "intended": goals that are close are proposed; "printed": the paper's formula.
-        strength: estimator of the proposal's strengths: a name of
-            :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: the
-            network, trained in PHASE; in other worlds the analytic rule.
+        strength: estimator of the proposal's strengths. "network": trained in PHASE.
+            "analytic": a rule for any world. None: the network in PHASE, the rule elsewhere.
 
     Raises:
         InvalidSettingError: a value is out of range.
@@ -68,7 +66,7 @@ class SimpleSettings:
     unit: Unit = "arena"
     prior_share: float = 0.1
     sign: Sign = "intended"
-    strength: str | Estimator | None = None
+    strength: Strength | None = None
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -78,19 +76,18 @@ class SimpleSettings:
                 f"prior_share={shown(self.prior_share)}, expected a number in [0, 1)"
             )
         whole_number("window", self.window)
-        for name, allowed in (("sign", SIGNS), ("unit", UNITS), ("proposal", (*FORMS, None))):
-            if getattr(self, name) not in allowed:
-                raise unknown_name(name, getattr(self, name), filter(None, allowed))
+        for name, known in (
+            *(("sign", SIGNS), ("unit", UNITS)),
+            *(("proposal", (*FORMS, None)), ("strength", (*STRENGTHS, None))),
+        ):
+            if getattr(self, name) not in known:
+                raise unknown_name(name, getattr(self, name), filter(None, known))
         own = {name: getattr(self, name) for name in ("gamma", "unit", "sign")}
         changed = [f"{k}={v!r}" for k, v in own.items() if v != getattr(SimpleSettings, k)]
         if changed and self.proposal != "paper":
             raise InvalidSettingError(
                 f"{', '.join(changed)}: settings of proposal='paper'; give that with them"
             )
-        if self.strength is not None:
-            from phase_ppl.inference.strength import strength_estimator
-
-            strength_estimator(self.strength)
 
     def settled(self, world: World) -> SimpleSettings:
         """Return the settings with each None replaced by its value for a world.

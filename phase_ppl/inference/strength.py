@@ -1,25 +1,24 @@
-"""Estimators of agents' strengths: the paper's network, an analytic rule, or a user's own."""
+"""Estimators of agents' strengths: the paper's network and an analytic rule."""
 
 from __future__ import annotations
 
 import functools
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, SUBSTEP, SUBSTEPS, mass
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
 from phase_ppl.world.scene import Scene
 
@@ -248,16 +247,10 @@ class StrengthEstimates(NamedTuple):
     sd: FloatArray  # (window, agent) newtons; NaN where ``mean`` is
 
 
-class Estimator(Protocol):
-    """Estimates all agents' strengths from windows of what was observed.
+Estimator = Callable[[Scene, Observation, NDArray[np.int64]], StrengthEstimates]
+"""Estimates all agents' strengths from windows of what was observed.
 
-    ``windows`` is (window, 2), the first and the last frame of each; they differ by 1 or more.
-    """
-
-    def __call__(
-        self, scene: Scene, observation: Observation, windows: NDArray[np.int64], /
-    ) -> StrengthEstimates: ...
-
+Windows are (window, 2), the first and the last frame of each; they differ by 1 or more."""
 
 TOLERANCE: Final = 0.01  # relative deviation from a level that still counts as a hit
 
@@ -286,7 +279,7 @@ def analytic_strengths(
     If agents stand still after each step, two frames in a row suffice. Driving from rest moves an
     agent by (F - 100 N) / m times the sum over the substeps of the remaining time.
 
-    Arguments as for :class:`~phase_ppl.inference.strength.Estimator`.
+    Arguments as of :data:`~phase_ppl.inference.strength.Estimator`.
     """
     radius = scene.radius[: len(scene.world.agents)]
     hits = _driving_hits(observation.trajectory, radius, scene.resets_velocity)
@@ -371,7 +364,6 @@ class StrengthNetwork:
     For each window it gives the mean and standard deviation of a normal distribution, truncated to
     the range of strengths. SIMPLE proposes strengths from it. If a window shows nothing, the
     standard deviation is large and the distribution close to uniform.
-    ``SimpleSettings(strength=...)`` takes a user's own network.
 
     Args:
         weights: arrays by name, see :data:`SHAPES`.
@@ -425,7 +417,7 @@ class StrengthNetwork:
     def __call__(
         self, scene: Scene, observation: Observation, windows: NDArray[np.int64]
     ) -> StrengthEstimates:
-        """Return the estimates of each window; see :class:`Estimator`."""
+        """Return the estimates of each window; see :data:`Estimator`."""
         features = window_features(observation.trajectory, scene.radius, windows)
         return StrengthEstimates(*self.outputs(features))
 
@@ -441,7 +433,7 @@ def shipped_network() -> StrengthNetwork:
 def network_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return the estimates of the package's own network; see :class:`Estimator`.
+    """Return the estimates of the package's own network; see :data:`Estimator`.
 
     It was trained on agents that keep their velocities; for others the analytic rule is used.
     """
@@ -454,45 +446,3 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = MappingProxyType(
     {"analytic": analytic_strengths, "network": network_strengths}
 )
 """By name: the analytic rule, and the paper's network."""
-
-
-def strength_estimator(strength: str | Estimator) -> Estimator:
-    """Return the estimator of that name, or ``strength`` itself if it is one."""
-    if isinstance(strength, str):
-        if strength not in ESTIMATORS:
-            raise unknown_name("estimator of strengths", strength, ESTIMATORS)
-        return ESTIMATORS[strength]
-    if not callable(strength):
-        raise InvalidSettingError(
-            f"strength={shown(strength)}, expected the name of an estimator or a function"
-        )
-    return strength
-
-
-def estimated_strengths(
-    strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
-) -> StrengthEstimates:
-    """Return an estimator's strengths for each window, checked."""
-    found = strength_estimator(strength)(scene, observation, windows)
-    mean, sd = (np.asarray(part, float) for part in found)
-    wanted = (len(windows), len(scene.world.agents))
-    if mean.shape != wanted or sd.shape != wanted:
-        raise InvalidSettingError(
-            f"the estimator of strengths {estimator_name(strength)} returned shapes {mean.shape} "
-            f"and {sd.shape}, expected {wanted} twice: mean and standard deviation"
-        )
-    known = ~np.isnan(mean)
-    good = known & np.isfinite(mean) & np.isfinite(sd) & (sd > 0)
-    if (known & ~good).any():
-        window, agent = np.argwhere(known & ~good)[0]
-        raise InvalidSettingError(
-            f"the estimator of strengths {estimator_name(strength)} returned mean "
-            f"{mean[window, agent]:g} and standard deviation {sd[window, agent]:g}, expected "
-            "finite numbers, the second above 0; or nan for no estimate"
-        )
-    return StrengthEstimates(mean, np.where(known, sd, np.nan))
-
-
-def estimator_name(strength: str | Estimator) -> str:
-    """Return a name for the settings that a run records."""
-    return strength if isinstance(strength, str) else qualified_name(strength)

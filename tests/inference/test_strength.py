@@ -28,8 +28,6 @@ from phase_ppl.inference.strength import (
     StrengthEstimates,
     StrengthNetwork,
     analytic_strengths,
-    estimated_strengths,
-    estimator_name,
     network_strengths,
     observed_jitter,
     shipped_network,
@@ -129,9 +127,9 @@ def test_shipped_network_beats_the_prior_on_new_events() -> None:
 def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sure() -> None:
     resting = Observation(np.repeat(TRAJECTORY[:1], 30, axis=0))
     windows = np.array([[0, 29], [0, 10]])
-    assert (estimated_strengths("network", EVENT.scene, resting, windows).sd > 100).all()
+    assert (network_strengths(EVENT.scene, resting, windows).sd > 100).all()
     clear, blur = (
-        estimated_strengths("network", EVENT.scene, Observation(seen), ALL).sd
+        network_strengths(EVENT.scene, Observation(seen), ALL).sd
         for seen in (TRAJECTORY, blurred(TRAJECTORY, 0.3, np.random.default_rng(0)))
     )
     assert (blur > 2 * clear).all()
@@ -170,6 +168,11 @@ def test_arrays_that_cannot_be_weights_are_refused(change: dict[str, Any], messa
         StrengthNetwork(changed)
 
 
+def test_an_unknown_estimator_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="'networks'; did you mean 'network'"):
+        SimpleSettings(strength="networks")  # type: ignore[arg-type]
+
+
 def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     shipped_network.cache_clear()
@@ -177,37 +180,6 @@ def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
         event = load_event(name)
         tables = bottom_up_tables(event.scene, event.observation, SimpleSettings())
         assert np.isfinite(tables.strength_sd).any()
-
-
-# --- the slot ----------------------------------------------------------------------------------
-
-
-def test_settings_take_names_functions_and_networks() -> None:
-    mine = StrengthNetwork(no_weights())
-    tables = bottom_up_tables(EVENT.scene, EVENT.observation, SimpleSettings(strength=mine))
-    np.testing.assert_allclose(tables.strength, 375.0)
-    assert estimator_name(mine).endswith("StrengthNetwork")
-    assert estimator_name("analytic") == "analytic"
-    with pytest.raises(UnknownNameError, match="'networks'; did you mean 'network'"):
-        SimpleSettings(strength="networks")
-    with pytest.raises(InvalidSettingError, match="strength=3"):
-        SimpleSettings(strength=3)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("mean", "sd", "message"),
-    [
-        (np.zeros(2), np.ones((1, 2)), r"shapes \(2,\) and \(1, 2\), expected \(1, 2\)"),
-        (np.full((1, 2), 300.0), np.zeros((1, 2)), "standard deviation 0"),
-        (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
-        (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
-    ],
-)
-def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        estimated_strengths(
-            lambda *_: StrengthEstimates(mean, sd), EVENT.scene, EVENT.observation, ALL
-        )
 
 
 # --- the analytic rule ----------------------------------------------------------------------------
