@@ -201,12 +201,9 @@ class Runner:
 
     def _run_here(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         self._check_cancelled()
-        more: dict[str, Any] = {"cancelled": self._stop.done, "stop": [self._stop]}
+        until: dict[str, Any] = {"stop": [self._stop], "deadline": self.deadline}
         return {
-            one: self._count(
-                self._work.simulate(*one, self._limit(), deadline=self.deadline, **more)
-            )
-            for one in requests
+            one: self._count(self._work.simulate(*one, self._limit(), **until)) for one in requests
         }
 
     def _limit(self) -> float:

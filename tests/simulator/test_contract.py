@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -161,18 +163,28 @@ def test_a_ceiling_never_changes_what_stays_under_it(seed: int, ceiling: float) 
     assert bound.completed == (np.cumsum(free.errors)[-2] <= ceiling)
 
 
-@pytest.mark.parametrize("error", [Cancelled, KeyboardInterrupt])
-def test_cancelling_and_ctrl_c_close_the_simulation_after_its_next_frame(error: type) -> None:
-    watched = Watched()
+class Stopped(Watched):
+    """Is told to stop while it makes its third frame."""
 
-    def cancelled() -> bool:
-        if watched.taken == 3 and error is KeyboardInterrupt:
-            raise KeyboardInterrupt
-        return watched.taken == 3
+    def __init__(self) -> None:
+        self.stop: Future[None] = Future()
+        self.goes_on = threading.Event()
 
-    with pytest.raises(error):
-        simulate(watched, cancelled=cancelled)
-    assert (watched.taken, watched.closed) == (3, True)
+    def _frames(self, *given: Any) -> Iterator[Any]:
+        for frame in super()._frames(*given):
+            if self.taken == 3:
+                self.stop.set_result(None)
+                self.goes_on.wait(10)
+            yield frame
+
+
+def test_a_simulation_that_is_stopped_closes_after_its_next_frame() -> None:
+    stopped = Stopped()
+    with pytest.raises(Cancelled):
+        simulate(stopped, stop=[stopped.stop])
+    stopped.goes_on.set()
+    toys.wait_until(lambda: stopped.closed)
+    assert stopped.taken == 3
 
 
 # --- failing ---------------------------------------------------------------------------------
