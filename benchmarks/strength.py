@@ -72,7 +72,7 @@ def main() -> None:
     options = parser.parse_args()
     estimators = dict(ESTIMATORS)
     if options.weights:
-        estimators[options.weights] = StrengthNetwork.load(options.weights)
+        estimators[options.weights] = StrengthNetwork(np.load(options.weights, allow_pickle=False))
     events = common.dev_events(options.half, options.limit)
     report: dict[str, Any] = {"half": options.half, "videos": len(events), "draws": options.draws}
     rows = []

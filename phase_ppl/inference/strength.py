@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import functools
-import io
-import zipfile
 from collections.abc import Callable, Mapping
 from importlib import resources
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +13,6 @@ from numpy.typing import NDArray
 
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, SUBSTEP, SUBSTEPS, mass
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
@@ -337,20 +333,6 @@ def _force_from_rest(track: FloatArray, agent_mass: float) -> FloatArray:
     return np.where(even, force[1:], 0.0)
 
 
-HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper
-
-SHAPES: Final[dict[str, tuple[int, ...]]] = {
-    "centre": (N_FEATURES,),
-    "scale": (N_FEATURES,),
-    "weight_1": (N_FEATURES, HIDDEN),
-    "bias_1": (HIDDEN,),
-    "weight_2": (HIDDEN, HIDDEN),
-    "bias_2": (HIDDEN,),
-    "weight_3": (HIDDEN, 2),
-    "bias_3": (2,),
-}
-"""Name -> shape of the arrays in a file of weights; features are centred and scaled first."""
-
 SD_RANGE: Final = (5.0, 800.0)
 """Bounds of the standard deviation, newtons; the upper one is practically uniform."""
 
@@ -366,45 +348,16 @@ class StrengthNetwork:
     standard deviation is large and the distribution close to uniform.
 
     Args:
-        weights: arrays by name, see :data:`SHAPES`.
-
-    Raises:
-        InvalidSettingError: an array is missing, has another shape or is not finite.
+        weights: arrays by name: ``centre`` and ``scale`` of the features, then ``weight_N`` and
+            ``bias_N`` of the layers, N from 1 to 3.
     """
 
-    def __init__(self, weights: dict[str, NDArray[Any]]) -> None:
-        for name, shape in SHAPES.items():
-            if name not in weights:
-                raise InvalidSettingError(f"the array {name} is missing")
-            array = weights[name]
-            if array.shape != shape:
-                raise InvalidSettingError(f"{name} has shape {array.shape}, expected {shape}")
-            if array.dtype.kind != "f" or not np.isfinite(array).all():
-                raise InvalidSettingError(f"{name} holds values that are not finite numbers")
-        if not (weights["scale"] > 0).all():
-            raise InvalidSettingError("scale holds a number that is not positive")
-        self._weights = {name: weights[name].astype(np.float64) for name in SHAPES}
-
-    @classmethod
-    def load(cls, file: str | Path) -> StrengthNetwork:
-        """Return the network with the weights of an npz file."""
-        try:
-            # from memory: NumPy leaves a damaged file open
-            with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as kept:
-                return cls({name: kept[name] for name in kept.files})
-        except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
-            raise InvalidSettingError(
-                f"{file} holds no weights of a strength network: {error}"
-            ) from error
-
-    def save(self, file: str | Path) -> None:
-        """Write the weights to an npz file, in single precision."""
-        single = {name: array.astype(np.float32) for name, array in self._weights.items()}
-        np.savez_compressed(file, allow_pickle=False, **single)
+    def __init__(self, weights: Mapping[str, NDArray[Any]]) -> None:
+        self.weights = {name: array.astype(np.float64) for name, array in weights.items()}
 
     def outputs(self, features: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
         """Return (mean, standard deviation), newtons, for features (..., feature)."""
-        w = self._weights
+        w = self.weights
         x = np.clip((features - w["centre"]) / w["scale"], -FARTHEST, FARTHEST)
         x = np.maximum(x @ w["weight_1"] + w["bias_1"], 0.0)
         x = np.maximum(x @ w["weight_2"] + w["bias_2"], 0.0)
@@ -426,8 +379,8 @@ class StrengthNetwork:
 def shipped_network() -> StrengthNetwork:
     """Return the package's own network; ``strength_weights.json`` records how it was trained."""
     file = resources.files(__package__) / "strength_weights.npz"
-    with resources.as_file(file) as path:
-        return StrengthNetwork.load(path)
+    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+        return StrengthNetwork(stored)
 
 
 def network_strengths(

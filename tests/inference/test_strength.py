@@ -7,7 +7,6 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from phase_ppl.data.load import bundled_events, load_event, load_events
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.strength import (
     N_FEATURES,
-    SHAPES,
     VALIDATION_SD,
     StrengthEstimates,
     StrengthNetwork,
@@ -36,7 +34,7 @@ from phase_ppl.inference.strength import (
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.scene import Scene
@@ -50,8 +48,8 @@ PRIOR_LOG_DENSITY = -np.log(450.0)
 
 
 def no_weights() -> dict[str, np.ndarray]:
-    weights = {name: np.zeros(shape) for name, shape in SHAPES.items()}
-    return weights | {"scale": np.ones(SHAPES["scale"])}
+    weights = {name: np.zeros_like(array) for name, array in shipped_network().weights.items()}
+    return weights | {"scale": np.ones(N_FEATURES)}
 
 
 # --- features ----------------------------------------------------------------------------------
@@ -133,39 +131,6 @@ def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sur
         for seen in (TRAJECTORY, blurred(TRAJECTORY, 0.3, np.random.default_rng(0)))
     )
     assert (blur > 2 * clear).all()
-
-
-# --- files of weights --------------------------------------------------------------------------
-
-
-def test_weights_survive_saving_and_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
-    whole = tmp_path / "whole.npz"
-    shipped_network().save(whole)
-    features = window_features(TRAJECTORY, RADIUS, ALL)
-    again = StrengthNetwork.load(whole)
-    np.testing.assert_array_equal(again.outputs(features), shipped_network().outputs(features))
-    content = whole.read_bytes()
-    flipped = bytearray(content)
-    flipped[len(content) // 2] ^= 0xFF
-    for damaged in (content[: len(content) // 2], bytes(flipped), b"no weights", b"", None):
-        whole.write_bytes(damaged) if damaged is not None else whole.unlink()
-        with pytest.raises(InvalidSettingError, match=r"whole\.npz"):
-            StrengthNetwork.load(whole)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"weight_2": np.zeros((3, 3))}, r"weight_2 has shape \(3, 3\), expected \(64, 64\)"),
-        ({"bias_3": np.array([0.0, np.nan])}, "bias_3 .* finite"),
-        ({"scale": np.zeros(N_FEATURES)}, "scale .* not positive"),
-        ({"bias_2": None}, "bias_2 is missing"),
-    ],
-)
-def test_arrays_that_cannot_be_weights_are_refused(change: dict[str, Any], message: str) -> None:
-    changed = {k: v for k, v in (no_weights() | change).items() if v is not None}
-    with pytest.raises(InvalidSettingError, match=message):
-        StrengthNetwork(changed)
 
 
 def test_an_unknown_estimator_is_named() -> None:
@@ -272,6 +237,6 @@ def test_command_writes_weights_that_load_and_a_report(tmp_path: Path) -> None:
     )
     options = ["--events-file", str(tmp_path / "events.npz"), "--epochs", "1", "--rounds", "1"]
     main([str(tmp_path / "out"), "--events", "20", "--frames", "16", *options])
-    StrengthNetwork.load(tmp_path / "out" / "strength_weights.npz")
+    StrengthNetwork(np.load(tmp_path / "out" / "strength_weights.npz", allow_pickle=False))
     report = json.loads((tmp_path / "out" / "strength_weights.json").read_text())
     assert report["settings"]["events"] == 20
