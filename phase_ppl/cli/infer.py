@@ -57,7 +57,7 @@ def infer(options: Options) -> int:
         --kernel NAME: sample with it; local_mh is SIMPLE; default none, nothing is sampled; $FILE
         --chains N: default 15
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
-            beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
+            eta=0.2, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
             several times
         --on-failure reject|raise: what becomes of a failed simulation; default reject
         --simulation-seconds S: a simulation that takes longer has failed; default: none has

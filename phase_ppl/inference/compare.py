@@ -189,7 +189,7 @@ def _entry_of(label: str | None, spec: Spec, chains: int, settings: SimpleSettin
                 f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
             )
     own_settings = options.pop("settings", settings)
-    check_settings(own_settings, with_beta=False)
+    check_settings(own_settings)
     own_chains = options.pop("chains", chains)
     return Entry(label or info.name, kernel, options, own_chains, own_settings, own, info)
 

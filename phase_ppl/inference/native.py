@@ -150,7 +150,6 @@ class OpenProgram(EventProgram):
         known = {info.factory: info for _, info in KERNELS.items()}
         info = known.get(type(kernel))
         name = info.name if info else type(kernel).__name__
-        simple = {name: value for name, value in vars(self.settings).items() if name != "beta"}
         settings = {
             "kernel": {"name": name},
             "chains": chains,
@@ -160,7 +159,7 @@ class OpenProgram(EventProgram):
             "chain_method": str(mcmc.chain_method),
             "turning": scene.turning,
             "resets_velocity": scene.resets_velocity,
-            "simple": simple,
+            "simple": dict(vars(self.settings)),
             "model": self.model.fingerprint(),
         }
         cost = {**dataclasses.asdict(runner.statistics), "workers": runner.workers}
@@ -218,7 +217,7 @@ def program(
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     instance_of("model", model, Model, "a phase_ppl.Model")
-    check_settings(settings, with_beta=False)
+    check_settings(settings)
     if is_stepwise(model.likelihood):
         raise InvalidSettingError(
             "the closed loop's likelihood simulates nothing: write phase_ppl.infer(event, model)"

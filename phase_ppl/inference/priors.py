@@ -51,7 +51,8 @@ def summary(
 
     Goals are effective ones, so that it shows what a prior over stated goals and ``alpha`` comes
     to: help and harm of 3 : 1 in ``alpha`` come to less in the relation, since goals also agree
-    and clash by chance. Strengths are at the closed loop's levels.
+    and clash by chance. Strengths are at the closed loop's levels,
+    of three agents and more in some combinations only.
 
     Args:
         prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one.

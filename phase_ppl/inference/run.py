@@ -136,8 +136,6 @@ class Run:
 
     def record(self, iterations: int) -> dict[str, Any]:
         """Return all that determines the result of ``iterations`` iterations, as plain data."""
-        # the model's likelihood has beta
-        simple = {name: value for name, value in vars(self.settings).items() if name != "beta"}
         return {
             "kernel": {"name": self.info.name, **self.kernel_options},
             "chains": self.chains,
@@ -145,7 +143,7 @@ class Run:
             "seed": self.seed,
             "turning": self.event.scene.turning,
             "resets_velocity": self.event.scene.resets_velocity,
-            "simple": simple,
+            "simple": dict(vars(self.settings)),
             "model": self.model.fingerprint(),
         }
 

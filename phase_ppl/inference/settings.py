@@ -43,8 +43,6 @@ class SimpleSettings:
             the first simulation. None: "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter if the observation is shorter.
-        beta: replaces the beta of the model's radial likelihood, 1 / units; None: keep the
-            model's, by default the paper's 0.05.
         unit: divisor of distances in the paper's proposal. "arena": the arena's diagonal.
             "printed": none, so that goals other than the nearest are hardly ever proposed.
         prior_share: weight of the prior in the proposal. 0, as printed, is for ``rule="paper"``
@@ -62,7 +60,6 @@ class SimpleSettings:
     proposal: Form | None = None
     gamma: float = 10.0
     window: int = 10
-    beta: float | None = None
     unit: Unit = "arena"
     prior_share: float = 0.1
     sign: Sign = "intended"
@@ -107,11 +104,9 @@ class SimpleSettings:
         return dataclasses.replace(self, **none)  # type: ignore[arg-type]
 
 
-def check_settings(given: object, with_beta: bool = True) -> None:
-    """Raise InvalidSettingError unless these are settings, or if beta is the model's alone."""
+def check_settings(given: object) -> None:
+    """Raise InvalidSettingError unless these are settings."""
     instance_of("settings", given, SimpleSettings, "a phase_ppl.SimpleSettings")
-    if not with_beta and getattr(given, "beta", None) is not None:
-        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
 
 
 def check_event(given: object) -> Event:
@@ -239,7 +234,7 @@ def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the given arguments that are not None, completed from a preset.
 
     A given kernel replaces the preset's kernel and its options. A given length replaces its
-    iterations. Single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
+    iterations. Single settings of SIMPLE, such as ``eta=0.2``, change those of the preset.
     """
     usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}

@@ -131,7 +131,7 @@ def test_event_and_parts_of_the_package_need_not_be_given_again(
 ) -> None:
     monkeypatch.setattr(ppl.Model, "build_simulator", lambda self: walkers)  # for speed
     path = tmp_path / "run.ckpt"
-    settings = ppl.SimpleSettings(beta=0.05, eta=0.2)
+    settings = ppl.SimpleSettings(eta=0.2)
     options = {**OPTIONS, "planner": "paper", "settings": settings, "weights": "count"}
     ppl.infer(EVENT, **{**options, "iterations": 2}, checkpoint=path)
     longer = ppl.resume(path, iterations=4, workers=1, progress=False)

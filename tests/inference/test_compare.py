@@ -293,7 +293,6 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"reference": "prior_mh"}, REFUSED, "reference='prior_mh', expected 'enumeration'"),
     ({"reference": ("enumeration", {"per_pair": 5})}, REFUSED, "per_pair=5, expected an even"),
     ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
-    ({"settings": ppl.SimpleSettings(beta=0.1)}, REFUSED, "likelihood"),
 ]
 
 

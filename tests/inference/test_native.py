@@ -319,7 +319,6 @@ def test_what_is_no_event_or_simulates_nothing_is_refused() -> None:
         ppl.program("collaborate")  # type: ignore[arg-type]
     for message, given in {
         "simulates nothing": {"model": ppl.Model(likelihood=ppl.StepwiseLikelihood())},
-        "beta is the model's": {"settings": ppl.SimpleSettings(beta=0.1)},
         "expected a phase_ppl.Model": {"model": 7},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):

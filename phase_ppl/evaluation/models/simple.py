@@ -78,6 +78,7 @@ def simple(
     prior: Any = "uniform",
     planner: Any = None,
     simulator: Any = None,
+    likelihood: Any = None,
     program: Model | None = None,
     weights: str | None = None,
     preset: str = "simple",
@@ -86,7 +87,7 @@ def simple(
     """SIMPLE: inference over goals, relation and strengths by simulation.
 
     Args:
-        prior, planner, simulator: of the :class:`phase_ppl.Model`.
+        prior, planner, simulator, likelihood: of the :class:`phase_ppl.Model`.
         program: a model instead of these.
         weights: of the draws; by default the run's.
         preset: of :func:`phase_ppl.preset`; other arguments override it.
@@ -114,11 +115,10 @@ def simple(
             kernel = info_of(options["kernel"]).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
             raise unknown_name(what, name, [*_options_of(simple), *known])
-    parts = {"prior": prior, "planner": planner, "simulator": simulator}
     if program is None:
-        program = Model(**parts)
-    elif parts != {"prior": "uniform", "planner": None, "simulator": None}:
-        raise InvalidSettingError("give either a program or its prior, planner, simulator")
+        program = Model(prior, simulator, likelihood, planner)
+    elif (prior, simulator, likelihood, planner) != ("uniform", None, None, None):
+        raise InvalidSettingError("give either a program or its prior, planner and so on")
     return Simple(program, options)
 
 
