@@ -169,7 +169,7 @@ def call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         (ppl.report, {"folder": folder, "path": folder / "report.html"}),
         (ppl.render.video, {"what": EVENT, "path": folder / "film.mp4", "fps": 5}),
         (ppl.seconds, {"n": 3}),
-        (ppl.Model, {"prior": "uniform", "simulator": walkers, "planner": None, "noise": "fresh"}),
+        (ppl.Model, {"prior": "uniform", "simulator": walkers, "planner": None}),
     ]
     function, arguments = rng.choice(pool)
     name, odd = rng.choice(list(arguments)), rng.choice(ODD)

@@ -21,7 +21,6 @@ from phase_ppl.inference.strength import (
     Estimator,
     StrengthEstimates,
     StrengthNetwork,
-    estimated_strengths,
 )
 from phase_ppl.inference.tables import window_count, window_length
 from phase_ppl.world.event import Event, Observation
@@ -51,13 +50,13 @@ def observations(events: list[Event], jitter: float, draws: int) -> list[tuple[E
 
 
 def judged(
-    estimator: str | Estimator, seen: list[tuple[Event, Observation]], whole: bool
+    estimator: Estimator, seen: list[tuple[Event, Observation]], whole: bool
 ) -> dict[str, float | None]:
     """Return the quality over all windows and agents."""
     means, sds, truths = [], [], []
     for event, observation in seen:
         windows = windows_of(observation.n_frames, whole)
-        mean, sd = estimated_strengths(estimator, event.scene, observation, windows)
+        mean, sd = estimator(event.scene, observation, windows)
         means.append(mean)
         sds.append(sd)
         truths += [common.true_hypothesis(event).strengths] * len(windows)
@@ -71,9 +70,9 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=3, help="draws of the jitter, per video")
     parser.add_argument("--weights", metavar="NPZ", help="your own network, beside the rest")
     options = parser.parse_args()
-    estimators: dict[str, str | Estimator] = {name: name for name in ESTIMATORS}
+    estimators = dict(ESTIMATORS)
     if options.weights:
-        estimators[options.weights] = StrengthNetwork.load(options.weights)
+        estimators[options.weights] = StrengthNetwork(np.load(options.weights, allow_pickle=False))
     events = common.dev_events(options.half, options.limit)
     report: dict[str, Any] = {"half": options.half, "videos": len(events), "draws": options.draws}
     rows = []

@@ -28,7 +28,6 @@ from tqdm.auto import tqdm
 from phase_ppl.data.generation.situation import LAYOUTS, SIZES, SPOTS, walls_of
 from phase_ppl.inference.strength import (
     FARTHEST,
-    HIDDEN,
     SD_RANGE,
     StrengthEstimates,
     StrengthNetwork,
@@ -270,6 +269,7 @@ def _of_windows(
 # --- training -----------------------------------------------------------------------------------
 
 _HALF_LOG_2PI: Final = 0.5 * np.log(2 * np.pi)
+HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper
 SMALLEST_SCALE: Final = 0.05  # features that hardly vary in the training are not blown up
 
 
@@ -453,7 +453,8 @@ def main(arguments: list[str] | None = None) -> None:
     except PhasePPLError as error:
         parser.exit(2, f"{error}\n")
     options.folder.mkdir(parents=True, exist_ok=True)
-    network.save(options.folder / "strength_weights.npz")
+    single = {name: array.astype(np.float32) for name, array in network.weights.items()}
+    np.savez_compressed(options.folder / "strength_weights.npz", allow_pickle=False, **single)
     (options.folder / "strength_weights.json").write_text(json.dumps(report, indent=1) + "\n")
     for cell in report["validation"]:
         print("  ".join(f"{name} {value}" for name, value in cell.items()))

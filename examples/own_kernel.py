@@ -41,7 +41,7 @@ class FromPrior(MCMCKernel):
     def propose(self, key: jax.Array) -> State:
         key, key_z, key_seed = random.split(key, 3)
         z = self.program.draw_prior(key_z)
-        seed = self.program.simulator_seed(key_seed, z)
+        seed = self.program.simulator_seed(key_seed)
         errors = self.program.simulate(z, self.program.log_prior(z), seed)
         return State(z, seed, self.program.log_likelihood(errors).sum(), jnp.array(True), key)
 

@@ -15,7 +15,6 @@ from phase_people.observers import Perception as Perception
 from phase_ppl import render as render
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import figures as _plots
-from phase_ppl.analysis import priors as priors
 from phase_ppl.analysis.comparison import Comparison as Comparison
 from phase_ppl.analysis.estimate import Estimate as Estimate
 from phase_ppl.analysis.figures.over_time import watch_film as watch_film
@@ -73,6 +72,7 @@ from phase_ppl.evaluation.report import report as report
 from phase_ppl.evaluation.reproduce import Reproduction as Reproduction
 from phase_ppl.evaluation.reproduce import reproduce as reproduce
 from phase_ppl.inference import kernels as kernels
+from phase_ppl.inference import priors as priors
 from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
 from phase_ppl.inference.compare import compare as compare
 from phase_ppl.inference.infer import infer as infer

@@ -290,12 +290,12 @@ BAD_INPUT = [
      "Get blue item to red lm"),
     ("infer collaborate --video other", "'other'"),
     ("infer collaborate --likelihood radial", "which takes a kernel that samples"),
-    ("infer collaborate --watch --kernel prior_mh --on-failure retry --option rule=paper",
+    ("infer collaborate --watch --kernel prior_mh --on-failure raise --option rule=paper",
      "the closed loop, which samples nothing: no --kernel, --on-failure, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
     ("infer collaborate --seed 1 --seed 2", "--seed: given twice, 1 and 2"),
-    ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
-     "on_failure='retry' is for simulations"),
+    ("infer collaborate --model stepwise --kernel smc --out o --on-failure raise",
+     "on_failure='raise' is for simulations"),
     ("resume file", "no checkpoint"),
     ("render collaborate --frame 3 --out x.mp4", "--frame draws a picture: --out"),
     ("render collaborate --strip 3 --frame 1 --out x.png", "not allowed"),
@@ -501,14 +501,14 @@ class TestOwnParts:
         file = tmp_path / "mine.py"
         file.write_text(MINE)
         own = {name: f"{file}:{name}" for name in ("still", "plain", "Flat", "flat")}
-        given = ["--simulator", own["still"], "--kernel", own["plain"], "--noise", "fixed"]
+        given = ["--simulator", own["still"], "--kernel", own["plain"]]
         sampling = ["--kernel", "local_mh"]
         given += ["--likelihood", f"{own['Flat']}:beta=0.2"]
         assert main(["infer", "collaborate", *given]) == 2
         assert f"running {file} for its simulator still" in capsys.readouterr().err
         model = asked["model"]
         assert (model.simulator.__name__, asked["kernel"].__name__) == ("still", "plain")
-        assert (model.likelihood.beta, model.noise) == (0.2, "fixed")
+        assert model.likelihood.beta == 0.2
         assert main(["infer", "collaborate", *sampling, "--likelihood", own["flat"]]) == 2
         assert asked["model"].likelihood.beta == 0.5
         capsys.readouterr()

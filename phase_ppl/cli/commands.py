@@ -6,7 +6,7 @@ A line of the docstring's section ``Args:`` is an option or a positional argumen
     --seed N: N is a whole number, X or S any number, FILE and DIR are paths, B is a budget
     --world NAME: anything else is text
     --model NAME...: may be given several times; of NAME=VALUE pairs are collected in a dict
-    --noise fresh|fixed: one of these
+    --turning both|ccw|cw: one of these
     --quiet: on or off
     --n N: a number
     | --preset NAME: not together with the one before
@@ -91,9 +91,7 @@ EVENT: an event file, or a bundled event's name
 --prior NAME: default uniform; $FILE
 --simulator FILE.py:NAME: instead of the joint one; runs that file
 --likelihood L: radial or stepwise, with settings as in radial:beta=0.1 and
-    stepwise:weight=1:planner_seeds=8; $FILE
---noise fresh|fixed: of simulations: fresh for every proposal (the default), or fixed by
-    hypothesis""",
+    stepwise:weight=1:planner_seeds=8; $FILE""",
     "run": """
 --iterations N: default 6, or as before
 | --budget B: $BUDGET

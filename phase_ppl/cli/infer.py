@@ -57,9 +57,9 @@ def infer(options: Options) -> int:
         --kernel NAME: sample with it; local_mh is SIMPLE; default none, nothing is sampled; $FILE
         --chains N: default 15
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
-            beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
+            eta=0.2, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
             several times
-        --on-failure reject|raise|retry: what becomes of a failed simulation; default reject
+        --on-failure reject|raise: what becomes of a failed simulation; default reject
         --simulation-seconds S: a simulation that takes longer has failed; default: none has
         --weights NAME: of the posterior; default: those that are valid for the kernel and the
             length
@@ -146,7 +146,6 @@ def resume(options: Options) -> int:
         planner = None
         if options.simulator is None and before["planner"] is not None:
             planner = phase_ppl.PlannerConfig.from_dict(before["planner"])
-        options.noise = options.noise or before["noise"]
         model = users_parts.model(options, planner)
     folder = options.file.parent
     # a posterior beside the file is of the same run

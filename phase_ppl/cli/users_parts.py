@@ -18,7 +18,7 @@ from phase_ppl.world.files import existing_file
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
 
-PARTS: Final = ("prior", "simulator", "likelihood", "noise")  # options of a model
+PARTS: Final = ("prior", "simulator", "likelihood")  # options of a model
 _SUFFIX: Final = ".py"
 
 

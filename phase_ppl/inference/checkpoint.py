@@ -32,7 +32,7 @@ from phase_ppl.world.files import as_path, existing_file, write_bytes
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.space import space_of
 
-SCHEMA: Final = "phase-ppl-checkpoint-4"
+SCHEMA: Final = "phase-ppl-checkpoint-5"
 SUFFIXES: Final = (".ckpt",)
 
 _DOCUMENT: Final = "run.json"

@@ -40,7 +40,6 @@ from phase_ppl.inference.settings import (
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.processes import slots_of
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -51,7 +50,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
-from phase_ppl.world.identity import stable, versions, versions_so_far
+from phase_ppl.world.identity import event_digest, stable, versions, versions_so_far
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import World
@@ -190,7 +189,7 @@ def _entry_of(label: str | None, spec: Spec, chains: int, settings: SimpleSettin
                 f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
             )
     own_settings = options.pop("settings", settings)
-    check_settings(own_settings, with_beta=False)
+    check_settings(own_settings)
     own_chains = options.pop("chains", chains)
     return Entry(label or info.name, kernel, options, own_chains, own_settings, own, info)
 
@@ -299,7 +298,7 @@ def compare(
             {
                 "versions": versions(),
                 "event": event.id,
-                "observed": event_salt(event.scene, event.observation),
+                "observed": event_digest(event),
                 "model": model.fingerprint(),
                 "kernels": {entry.label: entry.record() for entry in chosen},
                 "proposals": {entry.label: entry.proposals(event.scene.world) for entry in chosen},

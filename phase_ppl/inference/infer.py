@@ -20,7 +20,7 @@ from phase_ppl.inference.settings import (
     check_settings,
 )
 from phase_ppl.models.density import on_cpu
-from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
+from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
 from phase_ppl.world.event import Event
@@ -103,8 +103,6 @@ def infer(
 
     * "reject": the likelihood is zero. If a third of a hypothesis's simulations fail, its mean
       likelihood is a third lower.
-    * "retry": the simulation is repeated with other seeds, up to three times, then rejected. The
-      likelihood is that of successful runs, so failures hardly cost a hypothesis anything.
     * "raise": the run ends with the error.
 
     Args:
@@ -128,7 +126,7 @@ def infer(
             ``phase_ppl.frames(n)`` or ``phase_ppl.seconds(n)``. The initial particles count, and
             are simulated in any case. The last iteration may exceed a budget of simulations or
             frames; such a run also ends after 100 iterations in a row without a simulation.
-        on_failure: "reject", "raise" or "retry", see above.
+        on_failure: "reject" or "raise", see above.
         simulation_seconds: seconds after which a simulation fails; by default never. With a budget
             of seconds, no initial simulation may take longer than the budget.
         checkpoint: new file, ending in .ckpt, for :func:`phase_ppl.resume`. It is written after the
@@ -183,7 +181,7 @@ def infer(
                 )
         from phase_ppl.inference.stepwise import filtered_frames
 
-        model = _complete_model(model, planner, None)
+        model = _complete_model(model, planner)
         event = check_event(event)
         _check_rate(event, model)
         found = filtered_frames(event, model, seed, workers, progress)
@@ -198,14 +196,13 @@ def infer(
     if isinstance(event, StepwisePosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table
 
-        for name, value in (("planner", planner), ("beta", settings.beta)):
-            if value is not None:
-                raise InvalidSettingError(
-                    f"{name}={shown(value)} is for simulations: the video was read before"
-                )
+        if planner is not None:
+            raise InvalidSettingError(
+                f"planner={shown(planner)} is for simulations: the video was read before"
+            )
         model = model_of(event, model)
         return sample_table(event, Run(event_of(event), model, *of_run), given)
-    model = _complete_model(model, planner, settings)
+    model = _complete_model(model, planner)
     run = Run(check_event(event), model, *of_run)
     if is_stepwise(model.likelihood):
         from phase_ppl.inference.table_run import check_looked_up, sample_table
@@ -298,7 +295,7 @@ def resume(
         kernel_options = _stored(saved, "options", reason)
     run = runs.Run(
         saved.event if event is None else event,
-        _complete_model(model, planner, settings),
+        _complete_model(model, planner),
         kernel,
         kernel_options,
         settings,
@@ -331,21 +328,11 @@ def _check_rate(event: Event, model: Model, level: int = 4) -> None:
         warnings.warn(f"event {shown(event.id)}: {ODD_PACE[pace]}", stacklevel=level)
 
 
-def _complete_model(
-    model: Model | None, planner: str | PlannerConfig | None, settings: SimpleSettings | None
-) -> Model:
-    """Return the model with the planner and the settings' beta, the paper's model by default."""
+def _complete_model(model: Model | None, planner: str | PlannerConfig | None) -> Model:
+    """Return the model with the planner, the paper's model by default."""
     model = Model() if model is None else model
     instance_of("model", model, Model, "a phase_ppl.Model")
-    if planner is not None:
-        model = dataclasses.replace(model, planner=planner)
-    if settings is None:
-        return model
-    if settings.beta is not None:
-        if not isinstance(model.likelihood, RadialLikelihood | None):
-            raise InvalidSettingError("beta is of the radial likelihood; the model has another")
-        model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
-    return model
+    return model if planner is None else dataclasses.replace(model, planner=planner)
 
 
 def _stored(saved: Checkpoint, name: str, reason: str) -> Any:

@@ -27,7 +27,7 @@ from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import SEED_SITE, EventProgram, event_salt
+from phase_ppl.models.program import SEED_SITE, EventProgram
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, check_memory, instance_of
 from phase_ppl.world.event import Event
@@ -49,8 +49,7 @@ class OpenProgram(EventProgram):
         bound = model.for_sampling().in_world(scene, observation)
         self.event, self.settings = event, settings
         self._runner, self._open = runner, True
-        salt = event_salt(scene, observation)
-        super().__init__(bound, 0, observation.n_frames, salt)
+        super().__init__(bound, 0, observation.n_frames)
         self._bridge = SimulatorBridge(runner, observation.n_frames, self.space, raises=True)
         self.bridge = self._bridge.handle
 
@@ -154,7 +153,6 @@ class OpenProgram(EventProgram):
         known = {info.factory: info for _, info in KERNELS.items()}
         info = known.get(type(kernel))
         name = info.name if info else type(kernel).__name__
-        simple = {name: value for name, value in vars(self.settings).items() if name != "beta"}
         settings = {
             "kernel": {"name": name},
             "chains": chains,
@@ -164,7 +162,7 @@ class OpenProgram(EventProgram):
             "chain_method": str(mcmc.chain_method),
             "turning": scene.turning,
             "resets_velocity": scene.resets_velocity,
-            "simple": simple,
+            "simple": dict(vars(self.settings)),
             "model": self.model.fingerprint(),
         }
         cost = {**dataclasses.asdict(runner.statistics), "workers": runner.workers}
@@ -205,8 +203,7 @@ def program(
     simulate together.
 
     The simulator's seed is a sample site, ``sim_seed``. So the same hypothesis and seed always have
-    the same likelihood (pseudo-marginal). With ``Model(noise="fixed")`` the seed follows from the
-    hypothesis, and is a deterministic site.
+    the same likelihood (pseudo-marginal).
 
     JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 
@@ -226,7 +223,7 @@ def program(
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     instance_of("model", model, Model, "a phase_ppl.Model")
-    check_settings(settings, with_beta=False)
+    check_settings(settings)
     if is_stepwise(model.likelihood):
         raise InvalidSettingError(
             "the closed loop's likelihood simulates nothing: write phase_ppl.infer(event, model)"

@@ -20,7 +20,6 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import random
 from numpy.typing import NDArray
@@ -35,7 +34,7 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
+from phase_ppl.models.program import MAX_SEED, EventProgram
 from phase_ppl.models.world_priors import effective_goals, log_prior_of_effective
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
@@ -126,7 +125,7 @@ def enumerate_goals(
         for goals, draws in zip(plan.goals.tolist(), which, strict=True)
         for draw in draws
     ]
-    seeds = _seeds(event, model, hypotheses, seed)
+    seeds = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses)).tolist()
     place = model.build_simulator(), event.scene, event.observation
     with Runner(*place, workers=workers, executor=executor) as runner:
         results = runner.run(hypotheses, seeds)
@@ -163,23 +162,6 @@ def _table(goals: NDArray[np.int64], weight: FloatArray, n_goals: int) -> FloatA
     table[tuple(goals.T)] = weight.mean(axis=1)
     total = table.sum()
     return table / total if total > 0 else table  # total 0: nothing was completed in this half
-
-
-def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:
-    """Return the simulator seeds; with fixed noise, those that a kernel would use."""
-    if model.noise == "fresh":
-        drawn = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses))
-        return [int(value) for value in drawn]
-    salt = event_salt(event.scene, event.observation)
-    program = EventProgram(model, 0, event.observation.n_frames, salt)
-    space = space_of_prior(model.prior)
-    goals = jnp.array([h.effective_goals for h in hypotheses])
-    strengths = jnp.array([h.strengths for h in hypotheses], jnp.float32)
-    sites = dict(zip(space.goal_sites, goals.T, strict=True))
-    sites |= dict(zip(space.strength_sites, strengths.T, strict=True))
-    sites[space.company_site] = jnp.zeros(len(hypotheses), jnp.int32)  # nobody helps or hinders
-    seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
-    return [int(value) for value in np.asarray(seeds)]
 
 
 Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say

@@ -28,7 +28,6 @@ from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import EventKernel, Stage, through
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, check_event
-from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
     ReadingCost,
@@ -44,7 +43,7 @@ from phase_ppl.models.density import remembered, tracing
 from phase_ppl.models.effective import WorldPrior, as_given
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import EventProgram, Lookup, event_salt
+from phase_ppl.models.program import EventProgram, Lookup
 from phase_ppl.world.errors import InvalidSettingError, instance_of, whole_number
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
@@ -65,7 +64,6 @@ class Data(NamedTuple):
     """All that compiled code gets of an event."""
 
     proposal: BottomUpTables | Proposal  # tables of its windows, or a kernel's learned proposal
-    salt: jax.Array | int  # a number that identifies it
     bridge: jax.Array | int  # handle of the bridge that simulates
     observed: jax.Array | int | None  # number of frames, where arrays are longer
     table: Lookup | None = None  # what is looked up in place of a simulation
@@ -138,9 +136,6 @@ class Run:
 
     def record(self, iterations: int) -> dict[str, Any]:
         """Return all that determines the result of ``iterations`` iterations, as plain data."""
-        assert self.settings.strength is not None, "it is settled"
-        simple = vars(self.settings) | {"strength": estimator_name(self.settings.strength)}
-        del simple["beta"]  # the model's likelihood has it
         return {
             "kernel": {"name": self.info.name, **self.kernel_options},
             "chains": self.chains,
@@ -148,7 +143,7 @@ class Run:
             "seed": self.seed,
             "turning": self.event.scene.turning,
             "resets_velocity": self.event.scene.resets_velocity,
-            "simple": simple,
+            "simple": dict(vars(self.settings)),
             "model": self.model.fingerprint(),
         }
 
@@ -161,7 +156,6 @@ class Run:
                 "prior": prior,
                 "beta": model.likelihood.beta,
                 "planner": model.planner_config().to_dict(),
-                "noise": model.noise,
             }
         return {
             "model": stored,
@@ -210,7 +204,7 @@ class Run:
         else:
             proposal = padded(tables, window_count(self.recipe.n_frames, settings.window))
         observed = self.n_frames if self._is_padded else None
-        return Data(proposal, event_salt(scene, observation), bridge, observed)
+        return Data(proposal, bridge, observed)
 
     def adaptation(self, data: Data) -> Adaptation | None:
         """Return the adaptation of a kernel that adapts; None for others."""
@@ -238,7 +232,6 @@ def model_again(stored: Mapping[str, Any]) -> Model:
         prior=stored["prior"],
         likelihood=RadialLikelihood(stored["beta"]),
         planner=PlannerConfig.from_dict(stored["planner"]),
-        noise=stored["noise"],
     )
 
 
@@ -259,8 +252,8 @@ def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
-    proposal, salt, bridge, observed, table = data
-    program = EventProgram(model, bridge, n_frames, salt, observed, table)
+    proposal, bridge, observed, table = data
+    program = EventProgram(model, bridge, n_frames, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
         of, share = (model.prior, model.sites), settings.prior_share
@@ -382,7 +375,7 @@ def _identity(recipe: Recipe, what: str) -> str | None:
     if plain is None or prior is None or not known or type(likelihood) not in _BY_FRAME:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
-    parts = info.name, plain, prior, model.noise, numbers, length
+    parts = info.name, plain, prior, numbers, length
     kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
     world = f" {model.prior.world.to_dict()!r}" if isinstance(model.prior, WorldPrior) else ""
     return f"{what} of {parts!r} {kind!r}{world}"
@@ -395,7 +388,7 @@ RECENT: Final = 3  # iterations whose mean is what the next one is expected to t
 
 IDLE: Final = 100
 """Iterations in a row without a simulation, after which a run ends: its budget will never be spent.
-This happens with fixed noise, once all hypotheses have been simulated."""
+This happens if no proposal has prior mass."""
 
 clock: Callable[[], float] = time.perf_counter  # seconds of wall time
 
@@ -483,8 +476,7 @@ class Pace:
 
     Attributes:
         done: finished iterations; -1: not even the initial particles are there.
-        simulations: made by the initial particles and the finished iterations; retries of failed
-            simulations do not count.
+        simulations: made by the initial particles and the finished iterations.
         frames: simulated in them.
         recent: seconds that the last iterations took.
     """

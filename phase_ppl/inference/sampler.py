@@ -521,7 +521,6 @@ class Sampler:
         return {
             **self._run.record(self._done),  # an interrupted run equals a shorter one
             "on_failure": self._runner.on_failure,
-            "retries": self._runner.retries,
             "simulation_seconds": self._options.simulation_seconds,
         }
 

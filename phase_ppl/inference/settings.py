@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -20,16 +20,15 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
-if TYPE_CHECKING:
-    from phase_ppl.inference.strength import Estimator
-
 Sign = Literal["intended", "printed"]
 Unit = Literal["arena", "printed"]
 Form = Literal["learned", "paper", "closed_loop"]
+Strength = Literal["network", "analytic"]
 
 SIGNS: Final = get_args(Sign)
 UNITS: Final = get_args(Unit)
 FORMS: Final = get_args(Form)
+STRENGTHS: Final = get_args(Strength)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,8 +46,6 @@ class SimpleSettings:
             "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: length of a window, Delta T, in steps (frames); shorter if the video is shorter.
-        beta: beta of the radial likelihood, 1 / units, in place of the model's. None: the model's,
-            by default the paper's 0.05.
         unit: divisor of distances in the paper's proposal. "arena": the arena's diagonal.
             "printed": none, so that goals other than the nearest are hardly ever proposed.
         prior_share: share of proposals that are drawn from the prior. With 0, as printed, a
@@ -56,9 +53,8 @@ class SimpleSettings:
             tried. So 0 is for ``rule="paper"`` only.
         sign: sign of the distances in the paper's proposal. "intended": goals that are close are
             proposed. "printed": the paper's formula, which proposes goals that are far.
-        strength: how strengths are proposed: a name of
-            :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: "network",
-            trained in PHASE; in other worlds "analytic".
+        strength: how strengths are proposed. "network": by a network trained in PHASE. "analytic":
+            by a rule for any world. None: the network in PHASE, the rule elsewhere.
 
     Raises:
         InvalidSettingError: a value is out of range, or goes with another proposal.
@@ -69,11 +65,10 @@ class SimpleSettings:
     proposal: Form | None = None
     gamma: float = 10.0
     window: int = 10
-    beta: float | None = None
     unit: Unit = "arena"
     prior_share: float = 0.1
     sign: Sign = "intended"
-    strength: str | Estimator | None = None
+    strength: Strength | None = None
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -83,19 +78,18 @@ class SimpleSettings:
                 f"prior_share={shown(self.prior_share)}, expected a number in [0, 1)"
             )
         whole_number("window", self.window)
-        for name, allowed in (("sign", SIGNS), ("unit", UNITS), ("proposal", (*FORMS, None))):
-            if getattr(self, name) not in allowed:
-                raise unknown_name(name, getattr(self, name), filter(None, allowed))
+        for name, known in (
+            *(("sign", SIGNS), ("unit", UNITS)),
+            *(("proposal", (*FORMS, None)), ("strength", (*STRENGTHS, None))),
+        ):
+            if getattr(self, name) not in known:
+                raise unknown_name(name, getattr(self, name), filter(None, known))
         own = {name: getattr(self, name) for name in ("gamma", "unit", "sign")}
         changed = [f"{k}={v!r}" for k, v in own.items() if v != getattr(SimpleSettings, k)]
         if changed and self.proposal != "paper":
             raise InvalidSettingError(
                 f"{', '.join(changed)}: settings of proposal='paper'; give that with them"
             )
-        if self.strength is not None:
-            from phase_ppl.inference.strength import strength_estimator
-
-            strength_estimator(self.strength)
 
     def settled(self, world: World) -> SimpleSettings:
         """Return the settings with the None of proposal and strength replaced by a world's values.
@@ -115,11 +109,9 @@ class SimpleSettings:
         return dataclasses.replace(self, **none)  # type: ignore[arg-type]
 
 
-def check_settings(given: object, with_beta: bool = True) -> None:
-    """Raise InvalidSettingError unless these are settings, or if beta is the model's alone."""
+def check_settings(given: object) -> None:
+    """Raise InvalidSettingError unless these are settings."""
     instance_of("settings", given, SimpleSettings, "a phase_ppl.SimpleSettings")
-    if not with_beta and getattr(given, "beta", None) is not None:
-        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
 
 
 def check_event(given: object) -> Event:
@@ -148,8 +140,7 @@ def simulations(n: int) -> Budget:
 
     Only simulations that were run count. A proposal without prior mass, or with a known simulation,
     costs nothing. A simulation stopped early counts as one. An iteration that has begun is
-    finished, so a run may exceed the budget by one iteration of all particles. Retries of failed
-    simulations (``on_failure="retry"``) come on top.
+    finished, so a run may exceed the budget by one iteration of all particles.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
@@ -249,7 +240,7 @@ def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the given arguments that are not None, completed from a preset.
 
     A given kernel replaces the preset's kernel and its options. A given length replaces its
-    iterations. Single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
+    iterations. Single settings of SIMPLE, such as ``eta=0.2``, change those of the preset.
     """
     usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}

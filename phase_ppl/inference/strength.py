@@ -1,25 +1,20 @@
-"""Estimators of agents' strengths: the paper's network, an analytic rule, or a user's own."""
+"""Estimators of agents' strengths: the paper's network and an analytic rule."""
 
 from __future__ import annotations
 
 import functools
-import io
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, SUBSTEP, SUBSTEPS, mass
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
 from phase_ppl.world.scene import Scene
 
@@ -248,16 +243,10 @@ class StrengthEstimates(NamedTuple):
     sd: FloatArray  # (window, agent) newtons; NaN where ``mean`` is
 
 
-class Estimator(Protocol):
-    """Estimates all agents' strengths from windows of what was observed.
+Estimator = Callable[[Scene, Observation, NDArray[np.int64]], StrengthEstimates]
+"""Estimates all agents' strengths from windows of what was observed.
 
-    ``windows`` is (window, 2), the first and the last frame of each; they differ by 1 or more.
-    """
-
-    def __call__(
-        self, scene: Scene, observation: Observation, windows: NDArray[np.int64], /
-    ) -> StrengthEstimates: ...
-
+Windows are (window, 2), the first and the last frame of each; they differ by 1 or more."""
 
 TOLERANCE: Final = 0.01  # relative deviation from a level that still counts as a hit
 
@@ -286,7 +275,7 @@ def analytic_strengths(
     If agents stand still after each step, two frames in a row suffice. Driving from rest moves an
     agent by (F - 100 N) / m times the sum over the substeps of the remaining time.
 
-    Arguments as for :class:`~phase_ppl.inference.strength.Estimator`.
+    Arguments as of :data:`~phase_ppl.inference.strength.Estimator`.
     """
     radius = scene.radius[: len(scene.world.agents)]
     hits = _driving_hits(observation.trajectory, radius, scene.resets_velocity)
@@ -344,20 +333,6 @@ def _force_from_rest(track: FloatArray, agent_mass: float) -> FloatArray:
     return np.where(even, force[1:], 0.0)
 
 
-HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper
-
-SHAPES: Final[dict[str, tuple[int, ...]]] = {
-    "centre": (N_FEATURES,),
-    "scale": (N_FEATURES,),
-    "weight_1": (N_FEATURES, HIDDEN),
-    "bias_1": (HIDDEN,),
-    "weight_2": (HIDDEN, HIDDEN),
-    "bias_2": (HIDDEN,),
-    "weight_3": (HIDDEN, 2),
-    "bias_3": (2,),
-}
-"""Name -> shape of the arrays in a file of weights; features are centred and scaled first."""
-
 SD_RANGE: Final = (5.0, 800.0)
 """Bounds of the standard deviation, newtons; the upper one is practically uniform."""
 
@@ -371,48 +346,18 @@ class StrengthNetwork:
     For each window it gives the mean and standard deviation of a normal distribution, truncated to
     the range of strengths. SIMPLE proposes strengths from it. If a window shows nothing, the
     standard deviation is large and the distribution close to uniform.
-    ``SimpleSettings(strength=...)`` takes a user's own network.
 
     Args:
-        weights: arrays by name, see :data:`SHAPES`.
-
-    Raises:
-        InvalidSettingError: an array is missing, has another shape or is not finite.
+        weights: arrays by name: ``centre`` and ``scale`` of the features, then ``weight_N`` and
+            ``bias_N`` of the layers, N from 1 to 3.
     """
 
-    def __init__(self, weights: dict[str, NDArray[Any]]) -> None:
-        for name, shape in SHAPES.items():
-            if name not in weights:
-                raise InvalidSettingError(f"the array {name} is missing")
-            array = weights[name]
-            if array.shape != shape:
-                raise InvalidSettingError(f"{name} has shape {array.shape}, expected {shape}")
-            if array.dtype.kind != "f" or not np.isfinite(array).all():
-                raise InvalidSettingError(f"{name} holds values that are not finite numbers")
-        if not (weights["scale"] > 0).all():
-            raise InvalidSettingError("scale holds a number that is not positive")
-        self._weights = {name: weights[name].astype(np.float64) for name in SHAPES}
-
-    @classmethod
-    def load(cls, file: str | Path) -> StrengthNetwork:
-        """Return the network with the weights of an npz file."""
-        try:
-            # from memory: NumPy leaves a damaged file open
-            with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as kept:
-                return cls({name: kept[name] for name in kept.files})
-        except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
-            raise InvalidSettingError(
-                f"{file} holds no weights of a strength network: {error}"
-            ) from error
-
-    def save(self, file: str | Path) -> None:
-        """Write the weights to an npz file, in single precision."""
-        single = {name: array.astype(np.float32) for name, array in self._weights.items()}
-        np.savez_compressed(file, allow_pickle=False, **single)
+    def __init__(self, weights: Mapping[str, NDArray[Any]]) -> None:
+        self.weights = {name: array.astype(np.float64) for name, array in weights.items()}
 
     def outputs(self, features: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
         """Return (mean, standard deviation), newtons, for features (..., feature)."""
-        w = self._weights
+        w = self.weights
         x = np.clip((features - w["centre"]) / w["scale"], -FARTHEST, FARTHEST)
         x = np.maximum(x @ w["weight_1"] + w["bias_1"], 0.0)
         x = np.maximum(x @ w["weight_2"] + w["bias_2"], 0.0)
@@ -425,7 +370,7 @@ class StrengthNetwork:
     def __call__(
         self, scene: Scene, observation: Observation, windows: NDArray[np.int64]
     ) -> StrengthEstimates:
-        """Return the estimates of each window; see :class:`Estimator`."""
+        """Return the estimates of each window; see :data:`Estimator`."""
         features = window_features(observation.trajectory, scene.radius, windows)
         return StrengthEstimates(*self.outputs(features))
 
@@ -434,14 +379,14 @@ class StrengthNetwork:
 def shipped_network() -> StrengthNetwork:
     """Return the package's own network; ``strength_weights.json`` records how it was trained."""
     file = resources.files(__package__) / "strength_weights.npz"
-    with resources.as_file(file) as path:
-        return StrengthNetwork.load(path)
+    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+        return StrengthNetwork(stored)
 
 
 def network_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return the estimates of the package's own network; see :class:`Estimator`.
+    """Return the estimates of the package's own network; see :data:`Estimator`.
 
     It was trained on agents that keep their velocities; for others the analytic rule is used.
     """
@@ -454,45 +399,3 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = MappingProxyType(
     {"analytic": analytic_strengths, "network": network_strengths}
 )
 """By name: the analytic rule, and the paper's network."""
-
-
-def strength_estimator(strength: str | Estimator) -> Estimator:
-    """Return the estimator of that name, or ``strength`` itself if it is one."""
-    if isinstance(strength, str):
-        if strength not in ESTIMATORS:
-            raise unknown_name("estimator of strengths", strength, ESTIMATORS)
-        return ESTIMATORS[strength]
-    if not callable(strength):
-        raise InvalidSettingError(
-            f"strength={shown(strength)}, expected the name of an estimator or a function"
-        )
-    return strength
-
-
-def estimated_strengths(
-    strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
-) -> StrengthEstimates:
-    """Return an estimator's strengths for each window, checked."""
-    found = strength_estimator(strength)(scene, observation, windows)
-    mean, sd = (np.asarray(part, float) for part in found)
-    wanted = (len(windows), len(scene.world.agents))
-    if mean.shape != wanted or sd.shape != wanted:
-        raise InvalidSettingError(
-            f"the estimator of strengths {estimator_name(strength)} returned shapes {mean.shape} "
-            f"and {sd.shape}, expected {wanted} twice: mean and standard deviation"
-        )
-    known = ~np.isnan(mean)
-    good = known & np.isfinite(mean) & np.isfinite(sd) & (sd > 0)
-    if (known & ~good).any():
-        window, agent = np.argwhere(known & ~good)[0]
-        raise InvalidSettingError(
-            f"the estimator of strengths {estimator_name(strength)} returned mean "
-            f"{mean[window, agent]:g} and standard deviation {sd[window, agent]:g}, expected "
-            "finite numbers, the second above 0; or nan for no estimate"
-        )
-    return StrengthEstimates(mean, np.where(known, sd, np.nan))
-
-
-def estimator_name(strength: str | Estimator) -> str:
-    """Return a name for the settings that a run records."""
-    return strength if isinstance(strength, str) else qualified_name(strength)

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.strength import estimated_strengths
+from phase_ppl.inference.strength import ESTIMATORS
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event, Observation
@@ -110,7 +110,7 @@ def bottom_up_tables(
     windows = np.column_stack([first, last])
     # proposals need not know what was not seen: a straight line is good enough for them
     tracks = observation.filled()
-    estimates = estimated_strengths(settings.strength, scene, tracks, windows)
+    estimates = ESTIMATORS[settings.strength](scene, tracks, windows)
     if settings.proposal != "paper":
         if settings.proposal == "closed_loop":
             goal, alpha = closed_loop_logits(scene, observation, windows, progress, threads)

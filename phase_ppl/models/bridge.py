@@ -93,7 +93,6 @@ class SimulatorBridge:
         self.iteration = 0
         self.failure: BaseException | None = None
         self._runner = runner
-        self._stops_early: bool = getattr(runner, "stops_early", True)
         self._n_frames = n_frames
         self._space = space_of(PHASE) if space is None else space
         self._raises, self._one_call = raises, threading.Lock()
@@ -131,8 +130,6 @@ class SimulatorBridge:
         batch = numbers[1].shape
         log_prior, seed, *rest = map(np.ravel, numbers)
         ceiling, log_proposal, log_bound = (one.astype(np.float32) for one in rest)
-        if not self._stops_early:  # then every simulation is complete for certain
-            ceiling = log_bound = np.full(seed.shape, np.inf, np.float32)
         n_rows = len(seed)
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLike
 from phase_ppl.models.sites import HYPOTHESIS_SITES
 from phase_ppl.models.world_priors import asked, bound, in_one_line, masses_of, refused
 from phase_ppl.simulator.contract import goes_on
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import Scene, World
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.models.stepwise import StepwiseLikelihood
     from phase_ppl.simulator.contract import Simulator
-
-Noise = Literal["fresh", "fixed"]
 
 DEFAULT_PLANNER: Final = "fast"
 
@@ -67,21 +65,17 @@ class Model:
             loop, a :class:`phase_ppl.RadialLikelihood` for a kernel.
         planner: settings of the joint simulator's planner: "fast", "paper", another name of
             :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``. None: "fast".
-        noise: "fresh": each proposal has a new simulator seed, and the posterior is under the mean
-            likelihood over seeds. "fixed": each event and hypothesis has one seed. The likelihood
-            is then deterministic, and the posterior differs.
 
     Raises:
         InvalidSettingError: the prior cannot work (the message names the site and what is
             expected), or a planner is given for another simulator.
-        UnknownNameError: an unknown prior, planner or noise.
+        UnknownNameError: an unknown prior or planner.
     """
 
     prior: Program = priors.uniform
     simulator: Simulator | None = None
     likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = None
     planner: str | PlannerConfig | None = None
-    noise: Noise = "fresh"
 
     if TYPE_CHECKING:
 
@@ -91,13 +85,11 @@ class Model:
             simulator: Any = ...,
             likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = ...,
             planner: str | PlannerConfig | None = ...,
-            noise: Noise = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         if isinstance(self.prior, str):
             object.__setattr__(self, "prior", priors.named(self.prior))
-        check_name("noise", self.noise, ("fresh", "fixed"))
         if self.simulator is None:
             object.__setattr__(self, "planner", self.planner_config())
         elif not callable(self.simulator) and not (
@@ -218,7 +210,7 @@ class Model:
         """Return what identifies the model, as plain data for a run's settings.
 
         Keys are ``prior`` and ``simulator`` (names), ``prior_source`` and ``simulator_source``
-        (hashes of the source; None: unknown), ``likelihood``, ``planner`` and ``noise``. If the
+        (hashes of the source; None: unknown), ``likelihood`` and ``planner``. If the
         simulator has a method ``settings()``, ``simulator_settings`` is its result.
         """
         users_simulator = self.simulator is not None
@@ -231,7 +223,6 @@ class Model:
             "simulator_source": source_hash(self.simulator) if users_simulator else None,
             "likelihood": repr(self.likelihood),
             "planner": None if users_simulator else self.planner_config().to_dict(),
-            "noise": self.noise,
         }
 
 

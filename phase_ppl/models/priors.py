@@ -18,14 +18,10 @@ import functools
 from collections.abc import Callable
 from typing import Final, TypeVar, cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from jax import random
-from jax.scipy.special import log_ndtr, ndtri
-from numpyro.distributions import constraints
 
 from phase_ppl.models import sites
 from phase_ppl.models.density import Program
@@ -37,7 +33,6 @@ from phase_ppl.world.hypothesis import (
     RELATION_TABLE,
     RELATIONS,
     STRENGTH_LEVELS,
-    STRENGTH_RANGE,
     effective_table,
 )
 from phase_ppl.world.registry import Registry
@@ -45,10 +40,6 @@ from phase_ppl.world.registry import Registry
 AnyProgram = TypeVar("AnyProgram", bound=Program)
 SPARSE_SOCIAL: Final = 0.1  # probability of a social goal; under ``uniform`` it is 2/3
 
-STRENGTH_CORRELATION: Final = 0.8
-"""Correlation of the normal scores of the strengths under :func:`correlated_strengths`."""
-
-_EDGE: Final = 1e-6  # how close to 0 and 1 quantiles may come before their normal scores run away
 PRIORS: Final = Registry[Program]("prior", entry_points="phase_ppl.priors")
 
 
@@ -114,19 +105,6 @@ def no_social_goals() -> None:
 
 
 @_ready_made
-def symmetric_alphas() -> None:
-    """All five alphas are equally likely: 1/5 each.
-
-    So the alpha of each agent is -1, 0 or 1 with equal probability, independently of the other
-    agent's, given that at most one is not 0 (as in the paper). :func:`uniform` draws the sign
-    first, the agent second, and nobody helps or hinders with probability 1/3.
-    """
-    sites.goals()
-    numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.full(len(ALPHAS), 1 / len(ALPHAS))))
-    sites.strengths()
-
-
-@_ready_made
 def relation_first(
     friendly: float = 1 / 3, neutral: float = 1 / 3, adversarial: float = 1 / 3
 ) -> None:
@@ -172,58 +150,6 @@ def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, Floa
         tables = (np.log(joint.sum(axis=(1, 2))), np.log(joint.sum(axis=2)), np.log(joint))
     red, green, alpha = (np.maximum(table, IMPOSSIBLE) for table in tables)
     return red, green, alpha
-
-
-@_ready_made
-def correlated_strengths() -> None:
-    """The agents are about as strong as each other.
-
-    Each strength alone is uniform on [150, 600] newtons. The normal scores of the two strengths
-    have correlation 0.8 (a Gaussian copula). Goals and alpha are as in :func:`uniform`.
-    """
-    sites.goals()
-    sites.alpha()
-    red, green = sites.STRENGTH_SITES
-    first = numpyro.sample(red, dist.Uniform(*STRENGTH_RANGE))
-    numpyro.sample(green, _UniformAlong(first, STRENGTH_CORRELATION))
-
-
-class _UniformAlong(dist.Distribution):
-    """Strength of one agent given the other's, newtons: the conditional of a Gaussian copula.
-
-    The correlation is of the normal scores of both.
-    """
-
-    support = constraints.interval(*STRENGTH_RANGE)
-    pytree_data_fields = ("other",)
-    pytree_aux_fields = ("correlation",)
-
-    def __init__(self, other: jax.Array, correlation: float) -> None:
-        self.other, self.correlation = other, correlation
-        super().__init__(jnp.shape(other), ())
-
-    def _scores(self) -> dist.Normal:
-        spread = float(np.sqrt(1 - self.correlation**2))
-        return dist.Normal(self.correlation * _normal_score(self.other), spread)
-
-    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        scores = self._scores()
-        shape = sample_shape + self.batch_shape
-        drawn = scores.loc + scores.scale * random.normal(key, shape)
-        low, high = STRENGTH_RANGE
-        # rounding must not leave the interval
-        return jnp.clip(low + (high - low) * jnp.exp(log_ndtr(drawn)), low, high)
-
-    def log_prob(self, value: jax.Array) -> jax.Array:
-        """Return the log density of a strength inside the interval, per newton."""
-        score = _normal_score(value)
-        low, high = STRENGTH_RANGE
-        return self._scores().log_prob(score) - dist.Normal().log_prob(score) - np.log(high - low)
-
-
-def _normal_score(strength: jax.Array) -> jax.Array:
-    low, high = STRENGTH_RANGE
-    return ndtri(jnp.clip((strength - low) / (high - low), _EDGE, 1 - _EDGE))
 
 
 @_ready_made

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import math
 from typing import Any, Final, NamedTuple
 
@@ -21,9 +20,6 @@ from phase_ppl.models.density import NO_DENSITY, Sites, draw, latent_sites, log_
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.event import Observation
-from phase_ppl.world.identity import physics_rules
-from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
@@ -84,14 +80,12 @@ class EventProgram:
     The simulator is noisy, and its seed w is a latent site, ``sim_seed``. The target is
     P(h) p(w) L(e(h, w)) over the hypothesis h and w, where e are the errors of the simulation. The
     same h and w always have the same likelihood. So, under any exact kernel, the hypotheses of a
-    chain follow the posterior under the mean likelihood over seeds (pseudo-marginal). With
-    ``noise="fixed"`` the seed follows from the hypothesis.
+    chain follow the posterior under the mean likelihood over seeds (pseudo-marginal).
 
     Args:
-        model: prior, likelihood and noise, bound to the event's world (``Model.in_world``).
+        model: prior and likelihood, bound to the event's world (``Model.in_world``).
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
         n_frames: number of frames, the length of arrays (time,).
-        salt: number that stands for the event under ``noise="fixed"``; see :func:`event_salt`.
         observed: number of observed frames, if arrays (time,) are longer than that. It may be known
             only inside compiled code. Errors and log likelihoods of frames beyond it are 0.
         table: the closed loop's table of likelihoods, which then takes the simulator's place.
@@ -102,7 +96,6 @@ class EventProgram:
         model: Model,
         bridge: jax.Array | int,
         n_frames: int,
-        salt: jax.Array | int = 0,
         observed: jax.Array | int | None = None,
         table: Lookup | None = None,
     ) -> None:
@@ -112,21 +105,15 @@ class EventProgram:
         self.likelihood = model.error_likelihood
         self.bridge = bridge
         self.n_frames = n_frames
-        self.salt = salt
         self.is_padded = observed is not None
         self.observed = n_frames if observed is None else observed
 
     def __call__(self) -> None:
-        fresh = self.model.noise == "fresh"
         # before the hypothesis, so that samplers that cannot handle it refuse it at once
-        drawn = numpyro.sample(SEED_SITE, SimulatorSeed(), infer=_NEVER) if fresh else None
+        seed = numpyro.sample(SEED_SITE, SimulatorSeed(), infer=_NEVER)
         with handlers.trace() as trace:
             self.model.prior()
         sites = {name: trace[name]["value"] for name in self.model.sites}
-        seed = self._fixed_seed(sites) if drawn is None else drawn
-        if drawn is None:
-            _check_not_given({SEED_SITE: seed})
-            numpyro.deterministic(SEED_SITE, seed)
         errors = self.simulate(sites, self.log_prior(sites), seed)
         numpyro.deterministic("step_error", errors)
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
@@ -146,7 +133,7 @@ class EventProgram:
         u = in_steps(numpyro.sample("uniform", dist.Uniform().expand([n]).to_event(1)))
         with handlers.block():
             sites = sites_at(self.model, u)
-        seed = self.seed_at(u[-1], sites)
+        seed = self.seed_at(u[-1])
         _check_not_given({**sites, SEED_SITE: seed})
         errors = self.simulate(sites, self.log_prior(sites), seed)
         for name, value in {**sites, SEED_SITE: seed, "step_error": errors}.items():
@@ -226,42 +213,18 @@ class EventProgram:
             one = jax.vmap(one)
         return one(request)
 
-    def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
-        """Return the simulator's seed, int32, for a proposed hypothesis ``sites`` (site -> value).
-
-        With fresh noise the seed is drawn with ``key``. With fixed noise it is a function of the
-        event, the effective goals and the strengths.
-        """
-        if self.model.noise == "fixed":
-            return self._fixed_seed(sites)
+    def simulator_seed(self, key: jax.Array) -> jax.Array:
+        """Return a random seed of the simulator, int32."""
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
 
-    def _fixed_seed(self, sites: Sites) -> jax.Array:
-        key = random.fold_in(random.key(self.salt), self._effective(sites))
-        for name in self.space.strength_sites:
-            strength = jnp.asarray(sites[name], jnp.float32)
-            key = random.fold_in(key, strength.view(jnp.uint32))
-        return random.randint(key, (), 0, MAX_SEED, jnp.int32)
-
-    def seed_at(self, uniform: jax.Array, sites: Sites) -> jax.Array:
-        """Return the seed of the hypothesis ``sites`` for a number ``uniform`` in [0, 1).
-
-        With fixed noise the number has no effect.
-        """
+    def seed_at(self, uniform: jax.Array) -> jax.Array:
+        """Return the seed for a number in [0, 1)."""
         number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
-        return self.simulator_seed(random.fold_in(random.key(0), number), sites)
+        return self.simulator_seed(random.fold_in(random.key(0), number))
 
     def effective_goals(self, sites: Sites) -> jax.Array:
         """Return (agent,) the effective goals of ``sites``, indices into ``world.goals``."""
         return effective_goals(self.space, sites)
-
-    def _effective(self, sites: Sites) -> jax.Array:
-        """Return a number, uint32, that encodes the effective goals of all agents."""
-        space, goals = self.space, self.effective_goals(sites).astype(jnp.uint32)
-        # the last agent's goal counts least
-        agents = np.arange(space.n_agents)
-        place = np.array([space.n_goals**k for k in agents[::-1].tolist()], np.uint64)
-        return (goals * place.astype(np.uint32)).sum(dtype=jnp.uint32)
 
 
 def _check_not_given(sites: Sites) -> None:
@@ -294,14 +257,6 @@ def effective_goals(space: HypothesisSpace, sites: Sites) -> jax.Array:
     return jnp.asarray(space.becomes)[way, agents, stated[owner]]
 
 
-def event_salt(scene: Scene, observation: Observation) -> int:
-    """Return a hash, below 2**31, of an event's start, sizes, walls and trajectory."""
-    digest = hashlib.sha256(physics_rules(scene))
-    for array in (scene.start, scene.radius, scene.walls, observation.trajectory):
-        digest.update(np.ascontiguousarray(array, np.float64).tobytes())
-    return int.from_bytes(digest.digest()[:4], "big") >> 1
-
-
 # --- as a function of uniform numbers -------------------------------------------------------------
 # A model as a function of uniform numbers, for samplers that know no discrete sites.
 #
@@ -318,8 +273,8 @@ _STEPS: Final = 2**16  # distinct values of a uniform number
 
 
 def dimensions(model: Model) -> int:
-    """Return how many numbers make a hypothesis and, unless noise is fixed, the seed."""
-    return sum(map(math.prod, model.sites.values())) + (model.noise == "fresh")
+    """Return how many numbers make a hypothesis and the seed."""
+    return sum(map(math.prod, model.sites.values())) + 1
 
 
 @jax.custom_jvp

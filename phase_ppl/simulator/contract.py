@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,6 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
-
-Result = TypeVar("Result")
 
 _FINITE: Final = 1e30
 """Larger numbers count as infinite; in single precision, their distances would be."""
@@ -44,8 +42,6 @@ class Simulator(Protocol):
 
     A simulator may have more methods:
 
-    * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, entity, 3)``, for an
-      engine that runs many simulations at once. If it exists, it is used, in this process.
     * ``settings() -> dict``: all else that determines its simulations, as plain data, to be stored
       with a run.
     * ``warm_up()``: does once the work that all processes can share, such as compiling.
@@ -133,22 +129,22 @@ def simulate_one(
     observed_positions: FloatArray,
     error_ceiling: float = math.inf,
     *,
-    cancelled: Callable[[], bool] | None = None,
     limit: float = math.inf,
     stop: Sequence[Future[Any]] = (),
     deadline: float = math.inf,
 ) -> SimulationResult:
     """Simulate and compare with the observation, no further than needed.
 
-    Any error of the simulator gives a failed result, which keeps the frames before.
+    Any error of the simulator gives a failed result, which keeps the frames before. With a limit, a
+    deadline or futures the simulator runs in a thread. One that hangs within a frame goes on,
+    ignored, and does not keep its process from ending.
 
     Args:
         observed_positions: (time, entity, 2) observed x, y, units; NaN where unseen.
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
             zero nothing is simulated. Results under it are the same as without a ceiling.
-        cancelled: called after each frame; True ends the simulation.
         limit: seconds after which the simulation fails.
-        stop: futures; any that is done ends the simulation, also within a frame.
+        stop: futures; any that is done ends the simulation.
         deadline: time, by ``time.perf_counter``, that ends it.
     """
 
@@ -156,24 +152,33 @@ def simulate_one(
         return simulator(scene, hypothesis.effective(), random_generator(seed))
 
     ended = threading.Event()
-
-    def over() -> bool:
-        return ended.is_set() or (cancelled is not None and cancelled())
-
     follow = functools.partial(
-        _follow, start, hypothesis, seed, observed_positions, error_ceiling, over
+        _follow, start, hypothesis, seed, observed_positions, error_ceiling, ended
     )
-    if error_ceiling < 0:
+    if error_ceiling < 0 or (limit == math.inf == deadline and not stop):
         return follow()
-    n_frames = len(observed_positions)
+    found: Future[SimulationResult] = Future()
+
+    def serve() -> None:
+        try:
+            found.set_result(follow())
+        except BaseException as error:
+            found.set_exception(error)
+
+    n_frames, why = len(observed_positions), too_long(limit)
+    if limit <= 0:
+        return SimulationResult.failed(hypothesis, seed, n_frames, why, limit)
+    threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True).start()
+    left = min(limit, deadline - time.perf_counter())
     try:
-        return in_time(
-            follow,
-            lambda why: SimulationResult.failed(hypothesis, seed, n_frames, why, limit),
-            limit,
-            stop,
-            deadline,
-        )
+        wait([found, *stop], None if left == math.inf else max(left, 0.0), FIRST_COMPLETED)
+        if any(future.done() for future in stop):
+            raise Cancelled("the simulation was cancelled")
+        if found.done():
+            return found.result()
+        if time.perf_counter() >= deadline:
+            raise OutOfTime("the time of the run is over")
+        return SimulationResult.failed(hypothesis, seed, n_frames, why, limit)
     finally:
         ended.set()
 
@@ -183,88 +188,6 @@ def too_long(limit: float) -> str:
     if limit <= 0:
         return "no time was left for it"
     return f"it took longer than the {limit:g} s that a simulation may take"
-
-
-def in_time(
-    work: Callable[[], Result],
-    failed: Callable[[str], Result],
-    limit: float,
-    stop: Sequence[Future[Any]],
-    deadline: float,
-) -> Result:
-    """Return the result of ``work``, run in a thread so that the wait can end early.
-
-    Work that is given up goes on, ignored, and does not keep its process from ending.
-
-    Args:
-        failed: the reason -> the result if the limit is exceeded.
-        limit: seconds after which the work is given up.
-        stop: futures; any that is done ends the wait.
-        deadline: time, by ``time.perf_counter``, that ends it.
-    """
-    if limit <= 0:
-        return failed(too_long(limit))
-    if limit == math.inf == deadline and not stop:
-        return work()
-    found: Future[Result] = Future()
-
-    def serve() -> None:
-        try:
-            found.set_result(work())
-        except BaseException as error:
-            found.set_exception(error)
-
-    threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True).start()
-    left = min(limit, deadline - time.perf_counter())
-    wait([found, *stop], None if left == math.inf else max(left, 0.0), FIRST_COMPLETED)
-    if found.done():
-        return found.result()
-    if any(future.done() for future in stop):
-        raise Cancelled("the simulation was cancelled")
-    if time.perf_counter() >= deadline:
-        raise OutOfTime("the time of the run is over")
-    return failed(too_long(limit))
-
-
-def simulate_together(
-    simulator: Any,
-    scene: Scene,
-    hypotheses: Sequence[Hypothesis],
-    seeds: Sequence[int],
-    observed_positions: FloatArray,
-) -> list[SimulationResult]:
-    """Run many simulations by one call of the simulator's ``simulate_batch``.
-
-    Each result has an equal share of the seconds. An error of the call is a failure of all.
-    """
-    n_frames = len(observed_positions)
-    clock = time.perf_counter()
-    try:
-        batch = np.asarray(
-            simulator.simulate_batch(
-                scene,
-                [hypothesis.effective() for hypothesis in hypotheses],
-                [random_generator(seed) for seed in seeds],
-                n_frames,
-            ),
-            dtype=np.float64,
-        )
-        expected = (len(hypotheses), n_frames, observed_positions.shape[1], 3)
-        if batch.shape != expected:
-            raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
-    except (Exception, SystemExit) as error:
-        why = error_text(error)
-        results = [
-            SimulationResult.failed(hypothesis, seed, n_frames, why)
-            for hypothesis, seed in zip(hypotheses, seeds, strict=True)
-        ]
-    else:
-        results = [
-            _follow(functools.partial(iter, rows), hypothesis, seed, observed_positions)
-            for rows, hypothesis, seed in zip(batch, hypotheses, seeds, strict=True)
-        ]
-    seconds = (time.perf_counter() - clock) / max(len(results), 1)
-    return [dataclasses.replace(result, seconds=seconds) for result in results]
 
 
 def simulate_trajectory(
@@ -348,10 +271,10 @@ def _follow(
     hypothesis: Hypothesis,
     seed: int,
     observed_positions: FloatArray,
-    error_ceiling: float = math.inf,
-    cancelled: Callable[[], bool] | None = None,
+    error_ceiling: float,
+    ended: threading.Event,
 ) -> SimulationResult:
-    """Compare frame by frame; close the simulation once its result is decided."""
+    """Compare frame by frame; close the simulation once its result is decided, or it is ended."""
     n_frames, shape = len(observed_positions), (observed_positions.shape[1], 3)
     flat = observed_positions.reshape(n_frames, -1)
     seen = ~np.isnan(flat)  # only what was seen is compared
@@ -369,7 +292,7 @@ def _follow(
                 trajectory[done], errors[done] = frame, error
                 total += error
                 done += 1
-                if cancelled is not None and cancelled():
+                if ended.is_set():
                     raise Cancelled("the simulation was cancelled")
     except Cancelled:
         raise
@@ -433,4 +356,4 @@ class Statistics:
     seconds_simulating: float = 0.0  # summed over workers
     seconds_waiting: float = 0.0  # wall time spent in ``run``
     failures: int = 0  # simulations that failed
-    retries: int = 0  # run again because they failed or were lost, mostly with their worker
+    retries: int = 0  # run again because they were lost, mostly with their worker

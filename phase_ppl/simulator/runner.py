@@ -1,9 +1,8 @@
-"""Running many simulations on worker processes, with early stopping, costs and retries."""
+"""Running many simulations on worker processes, with early stopping, and costs."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import threading
 import time
@@ -18,9 +17,7 @@ from phase_ppl.simulator.contract import (
     SimulationResult,
     Simulator,
     Statistics,
-    in_time,
     simulate_one,
-    simulate_together,
     too_long,
 )
 from phase_ppl.simulator.processes import (
@@ -45,22 +42,8 @@ from phase_ppl.world.scene import Scene
 
 Job = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 
-POLICIES: Final = ("reject", "raise", "retry")
-"""A failed simulation is a result without likelihood; or ends the run; or is run again."""
-
-RETRIES: Final = 3  # how often "retry" runs a simulation again
-
-_STREAM: Final = 0xFA11
-"""Keeps fresh seeds apart from other numbers drawn from the same seed."""
-
-
-def fresh_seed(seed: int, attempt: int) -> int:
-    """Return the seed of the n-th retry (n >= 1) of a simulation; below 2**31.
-
-    It depends on the two numbers alone, so that it is the same in every process.
-    """
-    words = np.random.SeedSequence([int(seed) & 0xFFFFFFFF, attempt, _STREAM]).generate_state(1)
-    return int(words[0]) >> 1
+POLICIES: Final = ("reject", "raise")
+"""A failed simulation is a result without likelihood; or ends the run."""
 
 
 class Work(NamedTuple):
@@ -98,28 +81,24 @@ class Runner:
 
     Args:
         simulator, scene: what to run; may be defined anywhere, also in ``__main__`` or a notebook.
-            A simulator with ``simulate_batch`` needs no workers: batches run in this process.
         observation: the frames are compared with it.
         workers: processes; 1 simulates in this process; None: one per usable core. With an
             ``executor``, how many simulations it gets at a time; None: all.
         executor: any PEP 3148 executor instead of our own workers. It is not shut down, and
             running simulations go on after a cancel, ignored.
         on_failure: "reject": a failed simulation is a result without likelihood; "raise": the
-            first failure ends the run; "retry": it is run again with a fresh seed, which follows
-            from its own, up to three times.
+            first failure ends the run.
         simulation_seconds: seconds after which a simulation fails; None: no limit. One that
             hangs within a frame goes on, ignored; in our own workers until their processes end.
 
     Attributes:
-        on_result: called in this process as each simulation finishes, after its last retry.
+        on_result: called in this process as each simulation finishes.
         statistics: costs of the simulations so far.
         workers: number of processes; None: an executor decides.
         limit: seconds that a simulation may take.
         patience: time, by ``time.perf_counter``. Once a simulation took too long, all that would
             begin after this time fail.
         deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
-        retries: 0 unless ``on_failure`` is "retry".
-        stops_early: whether simulations stop at their ceilings; those of a batch do not.
 
     Raises:
         InvalidSettingError: ``workers`` is out of range, or the simulator cannot be called or sent
@@ -142,7 +121,7 @@ class Runner:
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
         slots = self.workers = slots_of(workers, executor)
         check_name("on_failure", on_failure, POLICIES)
-        self.on_failure, self.retries = on_failure, RETRIES if on_failure == "retry" else 0
+        self.on_failure = on_failure
         self.limit = math.inf
         if simulation_seconds is not None:
             self.limit = positive_number("simulation_seconds", simulation_seconds)
@@ -152,13 +131,10 @@ class Runner:
         self.on_result: Callable[[SimulationResult], None] | None = None
         self.scene = scene
         self._work = Work(simulator, scene, np.array(observation.positions))
-        self._together = hasattr(simulator, "simulate_batch") and executor is None
-        self.stops_early = not self._together
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
-        self._attempts_left = self.retries
         self._pool: OwnWorkers | BorrowedExecutor | None = None
-        if executor is not None or ((slots or 1) > 1 and not self._together):
+        if executor is not None or (slots or 1) > 1:
             what, warms_up = f"simulator={shown(simulator)}", hasattr(simulator, "warm_up")
             self._pool = pool_for(self._work, what, slots, executor, warms_up)
 
@@ -214,70 +190,26 @@ class Runner:
         with self._one_run:
             clock = time.perf_counter()
             try:
-                self._attempts_left = self.retries
-                done = self._run_distinct(list(dict.fromkeys(requests)))
-                while self._attempts_left:
-                    failed = [one for one, result in done.items() if result.failure is not None]
-                    if not failed:
-                        break
-                    self._attempts_left -= 1
-                    done |= self._run_again(failed)
+                distinct = list(dict.fromkeys(requests))
+                if self._pool is None:
+                    done = self._run_here(distinct)
+                else:
+                    done = self._run_in(self._pool, distinct)
             finally:
                 self.statistics.seconds_waiting += time.perf_counter() - clock
         return [done[request] for request in requests]
 
-    def _run_distinct(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
-        if self._together:
-            return self._run_together(requests)
-        if self._pool is None:
-            return self._run_here(requests)
-        return self._run_in(self._pool, requests)
-
-    def _run_again(self, failed: Sequence[Job]) -> dict[Job, SimulationResult]:
-        """Return the results of failed requests with fresh seeds, under the requested seeds."""
-        attempt = self.retries - self._attempts_left
-        fresh = [(what, fresh_seed(seed, attempt), ceiling) for what, seed, ceiling in failed]
-        self.statistics.retries += len(fresh)
-        done = self._run_distinct(list(dict.fromkeys(fresh)))
-        return {
-            request: dataclasses.replace(done[again], seed=request[1])
-            for request, again in zip(failed, fresh, strict=True)
-        }
-
     def _run_here(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
         self._check_cancelled()
-        more: dict[str, Any] = {"cancelled": self._stop.done, "stop": [self._stop]}
+        until: dict[str, Any] = {"stop": [self._stop], "deadline": self.deadline}
         return {
-            one: self._count(
-                self._work.simulate(*one, self._limit(), deadline=self.deadline, **more)
-            )
-            for one in requests
+            one: self._count(self._work.simulate(*one, self._limit(), **until)) for one in requests
         }
 
     def _limit(self) -> float:
         """Return the seconds for a simulation that begins now."""
         over = self._cut and time.perf_counter() > self.patience
         return 0.0 if over else self.limit
-
-    def _run_together(self, requests: Sequence[Job]) -> dict[Job, SimulationResult]:
-        self._check_cancelled()
-        results: list[SimulationResult] = []
-        if requests:
-            hypotheses, seeds, _ = zip(*requests, strict=True)
-            simulator, scene, observed = self._work
-            limit = self._limit()
-            results = in_time(
-                lambda: simulate_together(simulator, scene, hypotheses, seeds, observed),
-                # the batch may take the time of all, but the limit is of one
-                lambda _: [self._failed(request, too_long(limit)) for request in requests],
-                limit * len(seeds),
-                [self._stop],
-                self.deadline,
-            )
-        self._check_cancelled()
-        for result in results:
-            self._count(result)
-        return dict(zip(requests, results, strict=True))
 
     def _run_in(
         self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Job]
@@ -325,8 +257,6 @@ class Runner:
                     f"simulation of [{result.hypothesis}] with seed {result.seed} failed: "
                     f"{result.failure}"
                 )
-            if self._attempts_left:
-                return result
         else:
             statistics.frames_saved += self.n_frames - result.frames_simulated
         if self.on_result is not None:

@@ -136,7 +136,7 @@ def stable(value: Any, *, sort_keys: bool = True) -> Any:
 
 
 def differences(stored: Mapping[str, Any], given: Mapping[str, Any], within: str = "") -> list[str]:
-    """Return in words where two identities differ, such as "model.noise is 'a', was 'b'"."""
+    """Return in words where two identities differ, such as "kernel.name is 'a', was 'b'"."""
     found: list[str] = []
     for name in dict.fromkeys([*stored, *given]):
         old, new = stored.get(name), given.get(name)

@@ -20,6 +20,7 @@ from tests.analysis.readings import reading
 FOUND = reading()
 HOSTILE = 0.3
 BY_MOOD = jnp.array([[0.4, 0.25, 0.25, 0.05, 0.05], [0.2, 0.05, 0.05, 0.35, 0.35]])
+SPARSE = np.array([0.9, *[0.025] * 4])  # alpha under ``sparse_social``
 
 
 def moody() -> None:
@@ -75,8 +76,8 @@ def drawn() -> StepwisePosterior:
 def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) -> None:
     by_mood, prior = np.asarray(BY_MOOD, float), np.array([1 - HOSTILE, HOSTILE])
     for at in (post, post.at(0), post.at(2)):
-        plain = StepwisePosterior(FOUND, at.frame).with_prior("symmetric_alphas")
-        joint = (prior[:, None] * by_mood) * of_alpha(plain, np.full(5, 0.2))
+        plain = StepwisePosterior(FOUND, at.frame).with_prior("sparse_social")
+        joint = (prior[:, None] * by_mood) * of_alpha(plain, SPARSE)
         joint /= joint.sum()
         assert at.query("P(hostile=1)") == pytest.approx(joint[1].sum(), abs=1e-5)
         assert at.mean("hostile") == pytest.approx(joint[1].sum(), abs=1e-5)
@@ -95,8 +96,8 @@ def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) 
 
 def test_other_sites_are_drawn_with_their_monte_carlo_error(drawn: StepwisePosterior) -> None:
     post = drawn
-    flat = StepwisePosterior(FOUND).with_prior("symmetric_alphas")
-    shares = np.array([0.25, *[0.1875] * 4]) * of_alpha(flat, np.full(5, 0.2))
+    flat = StepwisePosterior(FOUND).with_prior("sparse_social")
+    shares = np.array([0.25, *[0.1875] * 4]) * of_alpha(flat, SPARSE)
     shares /= shares.sum()
     helping, hindering = shares[1:3].sum(), shares[3:].sum()
     # a Beta(2, 2) after nothing, one success, one failure

@@ -362,15 +362,15 @@ def seldom(world: ppl.World) -> None:
 def test_a_table_under_another_prior_is_that_of_a_run_with_it() -> None:
     post = StepwisePosterior(reading())
     post.define("same", lambda h: h.goal_red == h.goal_green)
-    changed = post.with_prior("symmetric_alphas")
-    prior = prior_table(ppl.priors.symmetric_alphas, LEVELS)
+    changed = post.with_prior("sparse_social")
+    prior = prior_table(ppl.priors.sparse_social, LEVELS)
     anew = StepwisePosterior(reading(columns={"log_prior": prior}))
     found = changed.probability(relation="friendly")
     assert found == pytest.approx(anew.probability(relation="friendly"), abs=1e-9)
     assert found.error > 0
     assert changed.at(2).query("P(same=True)") > 0
-    assert changed.settings["model"]["prior"] == "phase_ppl.models.priors.symmetric_alphas"
-    assert "symmetric_alphas, taken instead of" in str(changed)
+    assert changed.settings["model"]["prior"] == "phase_ppl.models.priors.sparse_social"
+    assert "sparse_social, taken instead of" in str(changed)
     assert "taken instead of" not in str(post)
 
 

@@ -55,11 +55,11 @@ def test_a_model_of_ones_own_is_explained_as_by_infer() -> None:
 
 
 def test_settings_of_simple_go_by_name() -> None:
-    made: Any = ready("simple", {"proposal": "paper", "beta": 0.1, "rule": "paper"}).predict
+    made: Any = ready("simple", {"proposal": "paper", "eta": 0.2, "rule": "paper"}).predict
     assert made.options == {
         "kernel": "local_mh",
         "rule": "paper",
-        "settings": ppl.SimpleSettings(proposal="paper", beta=0.1),
+        "settings": ppl.SimpleSettings(proposal="paper", eta=0.2),
     }
 
 
@@ -69,7 +69,7 @@ def test_settings_of_simple_go_by_name() -> None:
         ({"planner": "slow"}, UnknownNameError, "'slow'"),
         ({"weights": "counts"}, UnknownNameError, "'count'"),
         ({"checkpoint": "run.ckpt"}, InvalidSettingError, "checkpoint is no option"),
-        ({"beta": 0.1, "settings": ppl.SimpleSettings()}, InvalidSettingError, "either settings"),
+        ({"eta": 0.2, "settings": ppl.SimpleSettings()}, InvalidSettingError, "either settings"),
         ({"rull": "paper"}, UnknownNameError, "kernel 'local_mh': 'rull'; did you mean 'rule'"),
         ({"program": ppl.Model(), "prior": "relation_first"}, InvalidSettingError, "either a prog"),
     ],

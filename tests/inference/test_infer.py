@@ -166,7 +166,7 @@ def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_wa
 
 
 def test_sites_of_ones_own_are_inferred_and_stored() -> None:
-    model = ppl.Model(prior=characters, simulator=walkers, noise="fixed")
+    model = ppl.Model(prior=characters, simulator=walkers)
     options = {**runs.OPTIONS, "iterations": ITERATIONS, "weights": "count"}
     found = ppl.infer(EVENT, model, **options)
     n = found.cost["simulations"]

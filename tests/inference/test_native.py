@@ -125,23 +125,8 @@ def test_handlers_set_what_is_simulated(program: OpenProgram) -> None:
     assert np.isinf(trace["step_error"]["value"]).all()
 
 
-def test_fixed_noise_is_no_site(program: OpenProgram) -> None:
-    with opened(ppl.Model(prior=few_goals, simulator=never_called, noise="fixed")) as fixed:
-        for key in random.split(KEY, 2):
-            given = {name: site["value"] for name, site in drawn(program, key).items()}
-            given = {name: given[name] for name in program.model.sites}
-            seeds = {int(drawn(fixed, k, given)["sim_seed"]["value"]) for k in random.split(key)}
-            assert len(seeds) == 1
-        assert drawn(fixed, KEY)["sim_seed"]["type"] == "deterministic"
-        assert drawn(fixed.uniform, KEY)["uniform"]["value"].shape == (5,)
-        for handler in (handlers.condition, handlers.substitute):
-            with pytest.raises(InvalidSettingError, match="gives sim_seed, which follows"):
-                handlers.seed(handler(fixed, {"sim_seed": jnp.int32(5)}), KEY)()
-    assert drawn(program.uniform, KEY)["uniform"]["value"].shape == (6,)
-
-
-def drawn(model: Any, key: jax.Array, given: Any = None) -> Any:
-    return handlers.trace(handlers.seed(handlers.substitute(model, given or {}), key)).get_trace()
+def drawn(model: Any, key: jax.Array) -> Any:
+    return handlers.trace(handlers.seed(model, key)).get_trace()
 
 
 # --- kernels --------------------------------------------------------------------------------------
@@ -334,7 +319,6 @@ def test_what_is_no_event_or_simulates_nothing_is_refused() -> None:
         ppl.program("collaborate")  # type: ignore[arg-type]
     for message, given in {
         "simulates nothing": {"model": ppl.Model(likelihood=ppl.StepwiseLikelihood())},
-        "beta is the model's": {"settings": ppl.SimpleSettings(beta=0.1)},
         "expected a phase_ppl.Model": {"model": 7},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):

@@ -29,9 +29,9 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
     assert ppl.preset("simple") == {"kernel": "local_mh"}
     printed["chains"] = 3  # one's own to change
     assert ppl.preset("as_printed")["chains"] == 15
-    guided = {"proposal": "closed_loop", "beta": 0.1}
+    guided = {"proposal": "closed_loop", "eta": 0.2}
     wanted = {"kernel": "local_mh", "settings": ppl.SimpleSettings(**guided)}
-    assert completed("guided", {"beta": 0.1}) == wanted
+    assert completed("guided", {"eta": 0.2}) == wanted
 
 
 @pytest.mark.parametrize(
@@ -42,8 +42,8 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
         ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
         ({"kernel": "prior_mh"}, {"kernel": "prior_mh"},
          {"rule", "weights", "iterations", "chains"}),
-        ({"beta": 0.1},
-         {"settings": dataclasses.replace(PRINTED, beta=0.1)}, set()),
+        ({"eta": 0.2},
+         {"settings": dataclasses.replace(PRINTED, eta=0.2)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
     ],
 )  # fmt: skip
@@ -57,8 +57,8 @@ def test_what_is_given_goes_before_a_preset(
 def test_unknown_words_and_settings_whole_and_one_by_one_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="'as_printed'"):
         ppl.preset("as_print")
-    with pytest.raises(InvalidSettingError, match="either settings or beta"):
-        completed("simple", {"settings": PRINTED, "beta": 0.1})
+    with pytest.raises(InvalidSettingError, match="either settings or eta"):
+        completed("simple", {"settings": PRINTED, "eta": 0.2})
 
 
 def test_evaluate_takes_the_same_word_and_records_it() -> None:
@@ -132,9 +132,9 @@ def test_infer_takes_single_settings_and_writes_the_word_down(
 
     with monkeypatch.context() as patch:
         patch.setattr(ppl, "infer", remembered)
-        command = ["infer", "collaborate", "--preset", "as_printed", "--option", "beta=0.1"]
+        command = ["infer", "collaborate", "--preset", "as_printed", "--option", "eta=0.2"]
         assert main([*command, "--planner", "fast", "--quiet"]) == 2
-        assert asked[0]["settings"].beta == 0.1
+        assert asked[0]["settings"].eta == 0.2
         assert asked[0]["settings"].sign == "printed"
         assert (asked[0]["planner"], asked[0]["rule"]) == ("fast", "paper")
         assert main(["infer", "collaborate", "--preset", "printed"]) == 2

@@ -162,14 +162,14 @@ def test_a_summary_says_what_alpha_comes_to_for_relations() -> None:
     found = ppl.priors.summary(helping)
     odds = found.probability(relation="friendly") / found.probability(relation="adversarial")
     assert 2.5 < odds < 3.0
-    told = found.to_dict()
-    assert told["relation"]["friendly"] == pytest.approx(0.495, abs=0.002)
-    assert told["errors"]["relation"]["friendly"] == 0.0
-    assert told["strengths"]["red agent"]["mean"] == pytest.approx(375.0)
-    assert sum(told["goals"]["red agent"].values()) == pytest.approx(1.0)
-    assert "friendly" in str(found)
-    assert "helping" in str(found)
+    assert found.probability(relation="friendly") == pytest.approx(0.495, abs=0.002)
+    assert found.probability(relation="friendly").error == 0.0
+    assert found.mean("strength_red") == pytest.approx(375.0)
+    assert found.marginal("goal_red").sum() == pytest.approx(1.0)
+    expected = np.array([4, 3, 3, 1, 1]) / 12
+    np.testing.assert_allclose(found.marginal("alpha"), expected, atol=1e-6)
+    assert found.query("E[patience]") == pytest.approx(0.25, abs=0.01)
+    assert "this is the prior" in str(found)
     alone = ppl.World(agents=["red agent"], items=["blue item"], landmarks={"home": (6, 6)})
-    assert "alpha" not in str(ppl.priors.summary(ppl.roles.uniform, world=alone))
-    assert "(0, 0) 0.33, (1, 0) 0.25" in str(found)
-    assert "patience     mean 0.25" in str(found)
+    of_one = ppl.priors.summary(ppl.roles.uniform, world=alone).marginal("goal_red")
+    np.testing.assert_allclose(of_one.values[of_one.values > 0], 1 / 6, atol=1e-6)

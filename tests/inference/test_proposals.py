@@ -16,7 +16,6 @@ from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.strength import StrengthEstimates
 from phase_ppl.inference.tables import (
     BottomUpTables,
     bottom_up_tables,
@@ -29,7 +28,6 @@ from phase_ppl.models.model import Model
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.scene import Scene
 from tests.inference.toy import (
     N_FRAMES,
     SCENE,
@@ -104,19 +102,16 @@ def test_printed_sign_prefers_far_goals() -> None:
 # --- the guide as a program --------------------------------------------------------------------
 
 
-def red_is_known(scene: Scene, observation: Observation, windows: np.ndarray) -> StrengthEstimates:
-    """An estimator of one's own: 300 N for the red agent, give or take 40, nothing for green."""
-    known = np.tile([True, False], (len(windows), 1))
-    return StrengthEstimates(np.where(known, 300.0, np.nan), np.where(known, 40.0, np.nan))
-
-
 WINDOW = 3
 
 
 @functools.cache
 def tables() -> BottomUpTables:
     """Of the learned form, with an estimate of the red strength, none of the green one."""
-    return bottom_up_tables(SCENE, moving(_2=(23.5, 4.5)), SimpleSettings(strength=red_is_known))
+    found = bottom_up_tables(SCENE, moving(_2=(23.5, 4.5)), SimpleSettings())
+    known = np.tile([True, False], (len(found.strength), 1))  # 300 N, give or take 40
+    strength, sd = (np.where(known, newtons, np.nan) for newtons in (300.0, 40.0))
+    return found._replace(strength=strength, strength_sd=sd)
 
 
 @functools.cache

@@ -224,18 +224,27 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
         assert post.cost["simulations"] == np.isfinite(weight).sum() == 44
 
 
+def alike_in_strength() -> None:
+    ppl.sites.goals()
+    ppl.sites.alpha()
+    red = numpyro.sample("strength_red", dist.Uniform(150.0, 600.0))
+    near = dist.TruncatedNormal(red, 60.0, low=150.0, high=600.0)
+    numpyro.sample("strength_green", near)
+
+
 def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     levels = np.array([150.0, 300.0, 450.0, 600.0])
-    grid = hypothesis_grid(Model(prior="correlated_strengths"), levels.tolist())
+    grid = hypothesis_grid(Model(prior=alike_in_strength), levels.tolist())
     place = [np.searchsorted(levels, grid.sites[f"strength_{key}"]) for key in ("red", "green")]
     found = np.zeros((4, 4))
     np.add.at(found, tuple(place), np.exp(grid.log_prior))
-    rng = np.random.default_rng(0)
-    scores = rng.multivariate_normal([0, 0], [[1, 0.8], [0.8, 1]], 200_000)
-    # quantiles of the normal distribution at 225, 375 and 525 N
-    cells = np.searchsorted([-0.9674, 0.0, 0.9674], scores)
-    expected = np.bincount(cells @ [4, 1], minlength=16).reshape(4, 4) / len(scores)
-    np.testing.assert_allclose(found, expected, atol=0.004)
+    ends = np.array([150.0, 225.0, 375.0, 525.0, 600.0])
+    red = 150 + 0.1 * (np.arange(4500) + 0.5)
+    green = np.diff(np.asarray(dist.Normal(red[:, None], 60.0).cdf(ends)))
+    expected = np.zeros((4, 4))
+    shares = green / green.sum(axis=1, keepdims=True) / len(red)
+    np.add.at(expected, np.searchsorted(ends[1:-1], red), shares)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 # --- what is refused ---------------------------------------------------------------------------
@@ -263,7 +272,7 @@ def counted() -> None:
 def test_what_cannot_work_is_refused_before_anything_is_simulated(
     kernel: str, options: dict[str, Any], message: str
 ) -> None:
-    given = {"workers": 1, "progress": False, "prior": "uniform", "noise": "fresh", **options}
-    model = Model(given.pop("prior"), simulator=never_called, noise=given.pop("noise"))
+    given = {"workers": 1, "progress": False, "prior": "uniform", **options}
+    model = Model(given.pop("prior"), simulator=never_called)
     with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
         ppl.infer(EVENT, model, kernel=kernel, **given)

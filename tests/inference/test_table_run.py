@@ -275,9 +275,8 @@ def test_ctrl_c_keeps_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     ("wrong", "message"),
     [
         ({"checkpoint": "run.ckpt"}, "checkpoint='run.ckpt' is for simulations"),
-        ({"on_failure": "retry"}, "on_failure='retry' is for simulations"),
+        ({"on_failure": "raise"}, "on_failure='raise' is for simulations"),
         ({"planner": "paper"}, "planner='paper' is for simulations"),
-        ({"settings": ppl.SimpleSettings(beta=0.1)}, r"beta=0\.1 is for simulations"),
         ({"rule": "paper"}, "unexpected keyword argument 'rule'"),
         ({"model": ppl.Model(simulator=walkers)}, "simulator=.*a model can change the prior only"),
         (

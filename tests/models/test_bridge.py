@@ -164,21 +164,13 @@ def test_of_equal_requests_in_a_batch_the_longest_is_run_and_the_first_that_ends
     assert record.log_again == pytest.approx(np.logaddexp.reduce(again) if again else -np.inf)
 
 
-class Patient(Counting):
-    """Stops nothing, and says so."""
-
-    stops_early = False
-
-
-@pytest.mark.parametrize("runner", [Counting, Patient])
-def test_what_exceeds_its_ceiling_is_complete_only_where_nothing_is_stopped(runner: Any) -> None:
+def test_what_exceeds_its_ceiling_in_the_last_frame_is_not_complete() -> None:
     # 4 frames of error 3 and of error 4: the last frame of the first is beyond its ceiling
-    asked, n = runner(), 2
+    asked, n = Counting(), 2
     bridge = SimulatorBridge(asked, N_FRAMES)
     z = {name: np.asarray(values) for name, values in sites_of(n).items()}
     columns = np.array([[0, 3, 9, 0, 1], [0, 4, 16, 0, 2]], np.float32).T
     bridge.answer(Request(z, *columns))
-    stops = runner is Counting
-    assert [one.result.completed for one in bridge.records] == [not stops, True]
-    assert [one.log_bound for one in bridge.records] == ([1, 2] if stops else [np.inf] * 2)
-    assert asked.ceilings == ([9, 16] if stops else [np.inf] * 2)
+    assert [one.result.completed for one in bridge.records] == [False, True]
+    assert [one.log_bound for one in bridge.records] == [1, 2]
+    assert asked.ceilings == [9, 16]

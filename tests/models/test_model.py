@@ -8,17 +8,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.models import sites
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import MAX_SEED, EventProgram
+from phase_ppl.models.program import MAX_SEED
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS
 from tests.inference.toy import (
-    N_FRAMES,
     TableRunner,
     never_called,
     table_errors,
@@ -34,7 +31,6 @@ from tests.inference.toy import (
         ({"prior": "sparse_socal"}, "'sparse_social'"),
         ({"likelihood": object()}, "lacks log_prob or max_total_error"),
         ({"planner": "papr"}, "papr"),
-        ({"noise": "none"}, "noise"),
         ({"simulator": never_called, "planner": "paper"}, "joint simulator"),
     ],
 )
@@ -102,26 +98,3 @@ def test_program_is_prior_times_likelihood() -> None:
     expected = program.log_prior(SITES) + program.log_likelihood(errors[0, 3, 1]).sum()
     expected -= np.log(MAX_SEED)  # all seeds alike
     assert float(found) == pytest.approx(float(expected), rel=1e-5)
-
-
-def seed_of(program: EventProgram, key: int = 0, **changes: float) -> int:
-    sites = {name: jnp.asarray(value) for name, value in {**Z, **changes}.items()}
-    return int(program.simulator_seed(random.key(key), sites))
-
-
-def test_seeds_are_new_each_time_or_follow_what_the_simulator_is_told() -> None:
-    fresh, _bridge = table_program(TableRunner(table_errors()))
-    assert seed_of(fresh, key=1) != seed_of(fresh, key=2)
-    assert seed_of(fresh, key=1) == seed_of(fresh, key=1)
-    model = Model(simulator=never_called, noise="fixed")
-    program, other = (EventProgram(model, 0, N_FRAMES, salt) for salt in (5, 6))
-    seed = seed_of(program, key=1)
-    assert seed == seed_of(program, key=2)
-    for another in (
-        seed_of(other), seed_of(program, goal_red=1), seed_of(program, strength_green=200.5)
-    ):  # fmt: skip
-        assert another != seed
-    # a helper's own stated goal changes nothing
-    helping = ALPHAS.index((1, 0))
-    ways = [seed_of(program, alpha=helping, goal_red=goal) for goal in (0, 7)]
-    assert ways == [seed_of(program, goal_red=3)] * 2

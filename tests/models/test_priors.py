@@ -129,17 +129,6 @@ def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() ->
         np.testing.assert_allclose(one / one.sum(), other / other.sum(), rtol=1e-3, atol=1e-12)
 
 
-def test_correlated_strengths_are_correlated_and_each_uniform() -> None:
-    z = draws("correlated_strengths")
-    red, green = (z[site] for site in sites.STRENGTH_SITES)
-    assert 0.7 < np.corrcoef(red, green)[0, 1] < 0.85
-    for strength in (red, green):
-        found = np.histogram(strength, bins=9, range=STRENGTH_RANGE)[0] / len(strength)
-        np.testing.assert_allclose(found, 1 / 9, atol=0.015)
-    corners = np.array(list(itertools.product(STRENGTH_RANGE, repeat=2)))
-    assert np.isfinite(density("correlated_strengths", REFERENCE, corners)).all()
-
-
 def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,6 @@ from hypothesis import strategies as st
 from phase_ppl.simulator.contract import (
     Cancelled,
     simulate_one,
-    simulate_together,
     simulate_trajectory,
 )
 from phase_ppl.world.errors import SimulationError
@@ -162,18 +163,28 @@ def test_a_ceiling_never_changes_what_stays_under_it(seed: int, ceiling: float) 
     assert bound.completed == (np.cumsum(free.errors)[-2] <= ceiling)
 
 
-@pytest.mark.parametrize("error", [Cancelled, KeyboardInterrupt])
-def test_cancelling_and_ctrl_c_close_the_simulation_after_its_next_frame(error: type) -> None:
-    watched = Watched()
+class Stopped(Watched):
+    """Is told to stop while it makes its third frame."""
 
-    def cancelled() -> bool:
-        if watched.taken == 3 and error is KeyboardInterrupt:
-            raise KeyboardInterrupt
-        return watched.taken == 3
+    def __init__(self) -> None:
+        self.stop: Future[None] = Future()
+        self.goes_on = threading.Event()
 
-    with pytest.raises(error):
-        simulate(watched, cancelled=cancelled)
-    assert (watched.taken, watched.closed) == (3, True)
+    def _frames(self, *given: Any) -> Iterator[Any]:
+        for frame in super()._frames(*given):
+            if self.taken == 3:
+                self.stop.set_result(None)
+                self.goes_on.wait(10)
+            yield frame
+
+
+def test_a_simulation_that_is_stopped_closes_after_its_next_frame() -> None:
+    stopped = Stopped()
+    with pytest.raises(Cancelled):
+        simulate(stopped, stop=[stopped.stop])
+    stopped.goes_on.set()
+    toys.wait_until(lambda: stopped.closed)
+    assert stopped.taken == 3
 
 
 # --- failing ---------------------------------------------------------------------------------
@@ -194,45 +205,3 @@ def test_whatever_goes_wrong_is_a_failed_result_or_an_error_of_that_hypothesis_a
     with pytest.raises(SimulationError, match=failure) as raised:
         simulate_trajectory(simulator, SCENE, WEAK, 9, N_FRAMES)
     assert f"[{WEAK}] with seed 9" in str(raised.value)
-
-
-# --- in batches ------------------------------------------------------------------------------
-
-
-def test_a_batch_gives_what_its_simulations_give_one_by_one() -> None:
-    hypotheses, seeds = [GO, HELP, WEAK], [1, 2, 3]
-    results = simulate_together(toys.Batched(), SCENE, hypotheses, seeds, OBSERVED)
-    for result, hypothesis, seed in zip(results, hypotheses, seeds, strict=True):
-        alone = simulate(toys.drift, hypothesis, seed)
-        assert (result.hypothesis, result.seed, result.completed) == (hypothesis, seed, True)
-        np.testing.assert_array_equal(result.trajectory, alone.trajectory)
-        np.testing.assert_array_equal(result.errors, alone.errors)
-
-
-class Batch:
-    def __init__(self, batch: Any) -> None:
-        self.batch = batch
-
-    def simulate_batch(self, *given: Any) -> Any:
-        if isinstance(self.batch, Exception):
-            raise self.batch
-        return self.batch
-
-
-def test_a_batch_that_fails_fails_as_a_whole() -> None:
-    for batch, failure in (
-        (ValueError("out of memory"), "ValueError: out of memory"),
-        (np.zeros((2, N_FRAMES, 4, 2)), "has shape (2, 8, 4, 2), expected (2, 8, 4, 3)"),
-    ):
-        results = simulate_together(Batch(batch), SCENE, [GO, WEAK], [1, 2], OBSERVED)
-        assert [(r.hypothesis, r.seed) for r in results] == [(GO, 1), (WEAK, 2)]
-        assert all(r.failure is not None and failure in r.failure for r in results)
-
-
-def test_a_row_of_a_batch_that_is_not_finite_fails_alone() -> None:
-    batch = np.repeat(AT_REST.trajectory[None], 2, axis=0)
-    batch[1, 5, 2, 0] = np.nan
-    good, bad = simulate_together(Batch(batch), SCENE, [GO, WEAK], [1, 2], OBSERVED)
-    assert good.completed
-    assert (bad.frames_simulated, bad.completed) == (5, False)
-    assert "frame 5 holds a value that is not finite" in str(bad.failure)

@@ -7,7 +7,6 @@ import dataclasses
 import re
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import pytest
 from phase_ppl.simulator import processes
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.processes import OwnWorkers
-from phase_ppl.simulator.runner import Runner, fresh_seed
+from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.event import Observation
 from tests.simulator import toys
@@ -107,17 +106,6 @@ def test_workers_start_light_are_as_many_as_there_is_to_do_and_get_the_work_once
     assert "heavy [], threads ['1'], interrupts blocked True" in str(result.failure)
 
 
-def test_a_simulator_that_batches_gets_one_batch_in_this_process() -> None:
-    batched, finished = toys.Batched(), []
-    with runner(toys.drift, workers=1) as one, runner(batched, workers=2) as many:
-        many.on_result = finished.append
-        results = many.run(*REQUESTS[:2])
-        assert_same(results, one.run(*REQUESTS[:2]))
-        assert many.run([], []) == []
-    assert batched.sizes == [4]  # two requests are the same
-    assert len(finished) == 4
-
-
 # --- on an executor of somebody else ---------------------------------------------------------
 
 
@@ -168,7 +156,7 @@ def test_what_an_executor_loses_is_run_again_once(losses: int, failures: int) ->
     [
         *[({"workers": n}, f"workers={n!r}, expected a w") for n in (0, 1.5)],
         *[({"simulation_seconds": s}, "simulation_seconds=") for s in (0, "5")],
-        ({"on_failure": "ignore"}, "'reject', 'raise', 'retry'"),
+        ({"on_failure": "ignore"}, "'reject', 'raise'"),
     ],
 )
 def test_settings_that_cannot_be_are_named(options: dict[str, Any], message: str) -> None:
@@ -310,50 +298,8 @@ def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.M
 # --- what fails ------------------------------------------------------------------------------
 
 
-def unlucky(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[Any]:
-    """Fail for two seeds of three."""
-    if rng.integers(3):
-        raise ValueError("out of luck")
-    yield from toys.drift(scene, hypothesis, rng)
-
-
 def test_raise_names_hypothesis_and_seed() -> None:
     with runner(toys.fails_for_weak, workers=1, on_failure="raise") as strict:
         assert strict.run([GO], [1])[0].completed
         with pytest.raises(SimulationError, match=r"150.* with seed 2 failed: ValueError: too w"):
             strict.run([GO, WEAK, GO], [1, 2, 3])
-
-
-def test_retried_simulations_have_the_frames_of_a_fresh_seed_under_their_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("phase_ppl.simulator.runner.RETRIES", 20)
-    with (
-        runner(unlucky, workers=1, on_failure="retry") as patient,
-        runner(unlucky, workers=1) as plain,
-    ):
-        seen: list[SimulationResult] = []
-        patient.on_result = seen.append
-        results = patient.run([GO] * 12, range(12))
-        assert len(seen) == 12
-        assert [r.seed for r in results if r.completed] == list(range(12))
-        attempts = 0
-        for seed, result in enumerate(results):
-            alone = plain.run([GO] * 21, [seed, *(fresh_seed(seed, k) for k in range(1, 21))])
-            first = next(k for k, r in enumerate(alone) if r.completed)
-            np.testing.assert_array_equal(result.trajectory, alone[first].trajectory)
-            attempts += first
-    assert patient.statistics.retries == patient.statistics.failures == attempts > 0
-    assert patient.statistics.simulations == 12 + attempts
-    assert patient.statistics.frames == 12 * N_FRAMES
-
-
-def test_what_kills_its_worker_is_run_again_once_and_then_with_a_fresh_seed(
-    tmp_path: Path,
-) -> None:
-    killer = toys.KillsItsWorker(tmp_path, times=2)
-    with runner(killer, workers=2, on_failure="retry") as patient:
-        (result,) = patient.run([WEAK], [1])
-    assert result.completed
-    assert len(list(tmp_path.iterdir())) == 2
-    assert (patient.statistics.retries, patient.statistics.failures) == (2, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import sys
@@ -137,21 +136,6 @@ class Slips:
         if hypothesis.strength_red < 300:
             tells_its_process()
         yield from drift(scene, hypothesis, rng)
-
-
-class Batched:
-    """Drifts, all at once."""
-
-    def __init__(self) -> None:
-        self.sizes: list[int] = []
-
-    def __call__(self, *given: Any) -> Iterator[Frame]:
-        raise AssertionError("a batch was possible")
-
-    def simulate_batch(self, scene: Any, hypotheses: Any, rngs: Any, n_frames: int) -> Any:
-        self.sizes.append(len(hypotheses))
-        runs = [drift(scene, h, rng) for h, rng in zip(hypotheses, rngs, strict=True)]
-        return np.array([[frame.copy() for frame in itertools.islice(r, n_frames)] for r in runs])
 
 
 def tells_its_process(*given: Any) -> Any:

@@ -78,7 +78,7 @@ def simple(
     prior: Any = "uniform",
     planner: Any = None,
     simulator: Any = None,
-    noise: str = "fresh",
+    likelihood: Any = None,
     program: Model | None = None,
     weights: str | None = None,
     preset: str = "simple",
@@ -87,7 +87,7 @@ def simple(
     """SIMPLE: inference over goals, relation and strengths by simulation.
 
     Args:
-        prior, planner, simulator, noise: of the :class:`phase_ppl.Model`.
+        prior, planner, simulator, likelihood: of the :class:`phase_ppl.Model`.
         program: a model instead of these.
         weights: of the draws; by default the run's.
         preset: of :func:`phase_ppl.preset`; other arguments override it.
@@ -115,11 +115,10 @@ def simple(
             kernel = info_of(options["kernel"]).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
             raise unknown_name(what, name, [*_options_of(simple), *known])
-    parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
-        program = Model(**parts)
-    elif parts != {"prior": "uniform", "planner": None, "simulator": None, "noise": "fresh"}:
-        raise InvalidSettingError("give either a program or its prior, planner, simulator, noise")
+        program = Model(prior, simulator, likelihood, planner)
+    elif (prior, simulator, likelihood, planner) != ("uniform", None, None, None):
+        raise InvalidSettingError("give either a program or its prior, planner and so on")
     return Simple(program, options)
 
 

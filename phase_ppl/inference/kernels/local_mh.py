@@ -229,7 +229,7 @@ class LocalMH(MetropolisKernel):
         trace = handlers.trace(handlers.substitute(bottom_up, data=sites)).get_trace(window)
         others = {name: site for name, site in trace.items() if name not in given}
         log_prior, log_proposal = program.log_prior(sites), log_drawn + trace_log_density(others)
-        seed = program.simulator_seed(key_seed, sites)
+        seed = program.simulator_seed(key_seed)
         return Request(sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:

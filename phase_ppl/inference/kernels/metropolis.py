@@ -355,7 +355,7 @@ class MetropolisKernel(EventKernel):
     ) -> tuple[Any, Request]:
         log_prior = self.program.log_prior(sites)
         log_proposal = self.log_initial_proposal(sites, log_prior)
-        seed = self.program.simulator_seed(key_start, sites)
+        seed = self.program.simulator_seed(key_start)
         known = key, sites, seed, log_prior
         return known, Request(sites, log_prior, seed, log_proposal=log_proposal)
 
@@ -387,7 +387,7 @@ class MetropolisKernel(EventKernel):
         self, move: Move, state: MHState, key: jax.Array, key_seed: jax.Array, key_accept: jax.Array
     ) -> tuple[Proposed, Request]:
         """Return a move, and the request for the simulation that decides on it."""
-        seed = self.program.simulator_seed(key_seed, move.sites)
+        seed = self.program.simulator_seed(key_seed)
         log_u = log_uniform(key_accept)
         request = Request(move.sites, move.log_prior, seed, log_proposal=move.log_proposal)
         if self._early_reject:

@@ -92,10 +92,7 @@ class NumpyroKernel(EventKernel):
 
     @property
     def dimensions(self) -> int:
-        """Length of a point: a number per site and one for the simulator's seed.
-
-        With ``Model(noise="fixed")`` there is none for the seed.
-        """
+        """Length of a point: a number per site, and one for the simulator's seed."""
         return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
@@ -145,8 +142,7 @@ class NumpyroKernel(EventKernel):
 
     def _simulated(self, point: jax.Array) -> Found:
         program, sites = self.program, self._sites(point)
-        # the number after the sites' is the seed's; with fixed noise there is none, nor a need
-        seed = program.seed_at(in_steps(jax.nn.sigmoid(point))[-1], sites)
+        seed = program.seed_at(in_steps(jax.nn.sigmoid(point))[-1])
         return sites, seed, program.simulate(sites, program.log_prior(sites), seed)
 
     def _sites(self, point: jax.Array) -> dict[str, jax.Array]:
@@ -332,16 +328,15 @@ class GibbsKernel(EventKernel):
 
     def _gibbs(self) -> Gibbs:
         program = self.program
-        fresh = program.model.noise == "fresh"
 
         def joint() -> None:
             with handlers.trace() as trace:
                 program.model.prior()
             sites = {name: trace[name]["value"] for name in program.model.sites}
-            uniform = numpyro.sample(SEED_SITE, dist.Uniform()) if fresh else jnp.zeros(())
+            uniform = numpyro.sample(SEED_SITE, dist.Uniform())
             # checks the support of all sites, fixed by Gibbs or not
             log_prior = program.log_prior(sites)
-            error = program.simulate(sites, log_prior, program.seed_at(uniform, sites))
+            error = program.simulate(sites, log_prior, program.seed_at(uniform))
             log_likelihood = program.relative_log_likelihood(error)
             possible = jnp.isfinite(log_prior) & jnp.isfinite(log_likelihood)
             numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -jnp.inf))
@@ -363,12 +358,9 @@ class GibbsKernel(EventKernel):
         key, key_sites, key_start = random.split(key, 3)
         sites = self.initial_sites(key_sites) if given is None else given
         uniform = random.uniform(key_start)
-        start = dict(sites)
-        if self.program.model.noise == "fresh":
-            start[SEED_SITE] = uniform
-        inner = self._gibbs().init(key, 0, start, (), {})
+        inner = self._gibbs().init(key, 0, {**sites, SEED_SITE: uniform}, (), {})
         none = jnp.zeros((), jnp.int32)
-        seed = self.program.seed_at(uniform, sites)
+        seed = self.program.seed_at(uniform)
         error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return SamplerState(none, sites, seed, error, inner, none > 0, none, key)
 
@@ -384,6 +376,6 @@ class GibbsKernel(EventKernel):
         inner = gibbs.sample(before, (), {})
         sites = {name: inner.z[name] for name in state.z}
         moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
-        seed = self.program.seed_at(inner.z.get(SEED_SITE, jnp.zeros(())), sites)
+        seed = self.program.seed_at(inner.z[SEED_SITE])
         error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return state.after(inner, moved, (sites, seed, error), key)

@@ -131,7 +131,7 @@ class Importance(EventKernel):
         self, state: Any, key: jax.Array, key_seed: jax.Array, sites: Any, window: jax.Array
     ) -> tuple[Any, Request]:
         log_prior = self.program.log_prior(sites)
-        request = Request(sites, log_prior, self.program.simulator_seed(key_seed, sites))
+        request = Request(sites, log_prior, self.program.simulator_seed(key_seed))
         return (state, key, request, log_prior - self._log_proposal(sites), window), request
 
     def accept(self, known: Any, step_error: jax.Array) -> WeightedState:
@@ -369,5 +369,5 @@ class Enumeration(EventKernel):
         row = number % self._grid.size
         sites = self._sites(row)
         log_prior = jnp.where(number < self.n_simulations, self.program.log_prior(sites), -jnp.inf)
-        request = Request(sites, log_prior, self.program.simulator_seed(key_seed, sites))
+        request = Request(sites, log_prior, self.program.simulator_seed(key_seed))
         return (state, key, row, request), request
