@@ -80,7 +80,7 @@ def summary(
     else:
         scene, seen = event.scene, event.observation
         bound = for_table(model.prior, scene, seen)
-    with Watch(scene, model, observation=seen) as watching:
+    with Watch(scene, model, observation=seen, event_id="the prior") as watching:
         watching.take(scene.start)
         return StepwisePosterior(watching.dataset(), prior=bound)
 
