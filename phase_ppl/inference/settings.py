@@ -146,8 +146,8 @@ class Budget:
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
-    Only simulations that were run count. A proposal without prior mass, or with a known simulation,
-    costs nothing. A simulation stopped early counts as one. An iteration that has begun is
+    Only simulations that were run count. A proposal without prior mass, or one whose simulation was
+    stored earlier in the run, costs nothing. A simulation stopped early counts as one. An iteration that has begun is
     finished, so a run may exceed the budget by one iteration of all particles. Retries of failed
     simulations (``on_failure="retry"``) come on top.
 
