@@ -177,7 +177,7 @@ class Hypotheses(Printed):
 
     @property
     def table(self) -> Rows:
-        """Rows of hypotheses: codes or numbers of every quantity (row,), weights (row,) of sum 1."""
+        """The rows: codes or numbers of every quantity (row,), and weights (row,) of sum 1."""
         return self._rows
 
     def by_frame(self) -> xr.Dataset | None:
@@ -188,7 +188,7 @@ class Hypotheses(Printed):
 
         Returns:
             ``log_likelihood`` (time, goal_<agent>, ...), nats, times what a frame counts; and
-            ``log_prior`` (goal_<agent>, ...), nats. In PHASE the last axes are goal_red, goal_green.
+            ``log_prior`` (goal_<agent>, ...), nats. In PHASE these axes are goal_red, goal_green.
         """
         return None
 

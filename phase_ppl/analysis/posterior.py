@@ -410,8 +410,8 @@ class Posterior(EventPosterior):
 
         Each label of a goal or relation has an indicator, 0 or 1. An indicator that is constant
         within every half of a chain has no R-hat and is left out; the posterior's attribute
-        ``left_out`` (JSON) names it. With fewer than ten draws per chain ArviZ's effective sizes are
-        fixed by its formula, whatever the draws: see :meth:`diagnostics`.
+        ``left_out`` (JSON) names it. With fewer than ten draws per chain ArviZ's effective sizes
+        are fixed by its formula, whatever the draws: see :meth:`diagnostics`.
 
         Raises:
             InvalidSettingError: the draws have weights of their own, so they are not chains.

@@ -152,10 +152,10 @@ class Calibration(Printed):
 
         Returns:
             For a goal or a relation a row per bin of top answers, sorted by probability, with equal
-            numbers of videos: their mean ``probability`` and the ``share`` of right ones. For a strength a row per central
-            interval of the posterior: its ``probability`` and the ``share`` of intervals that hold
-            the truth. Both have the 95 % interval ``low`` to ``high`` of the share (Clopper and
-            Pearson) and the number ``n`` of videos.
+            numbers of videos: their mean ``probability`` and the ``share`` of right ones. For a
+            strength a row per central interval of the posterior: its ``probability`` and the
+            ``share`` of intervals that hold the truth. Both have the 95 % interval ``low`` to
+            ``high`` of the share (Clopper and Pearson) and the number ``n`` of videos.
 
         Raises:
             UnknownNameError: there is no such quantity.

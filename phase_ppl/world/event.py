@@ -127,8 +127,8 @@ class Observation:
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
         """Return the observation made of frames at any rate, such as a tracker's or a game's.
 
-        At 12 frames a second the frames are taken as they are. At any other rate bodies are taken to
-        move straight between given frames, and a frame of the observation is the mean of five
+        At 12 frames a second the frames are taken as they are. At any other rate bodies are taken
+        to move straight between given frames, and a frame of the observation is the mean of five
         points of this motion, 1/60 s apart. At 60 frames a second these are five given frames.
 
         Args:
