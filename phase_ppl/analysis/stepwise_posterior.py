@@ -328,8 +328,7 @@ class StepwisePosterior(EventPosterior):
               whether all of them are sure.
             * ``surprise_median``: median of :meth:`surprise`, nats, without the part that no action
               explains.
-            * ``surprising_share``: share of frames in which this exceeds ``surprise_reference``, 4
-              nats.
+            * ``surprising_share``: share of frames where this exceeds ``surprise_reference`` (4).
             * ``unexplained_most``: largest part of a frame's surprise that no action explains,
               nats. ``unexplained_frames``: indices of frames whose part exceeds 17 nats.
             * Facts about the tracks: the keys of :func:`phase_ppl.analysis.verdict.of_tracks`.

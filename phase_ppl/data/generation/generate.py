@@ -183,8 +183,8 @@ def generate(
     A situation comes from a family (:func:`phase_ppl.draw_situation`), or it is a random scene
     ``world.random_scene(seed)`` with a hypothesis ``roles(world, seed)``. An event of a family is
     kept if it shows the family's scenario. An event in a random scene is kept if an agent with a
-    goal of its own reaches that goal. Except in PHASE, one number
-    gives a whole event: the ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
+    goal of its own reaches that goal. Except in PHASE, one number gives a whole event: the ``seed``
+    of its entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.data.generated`).
