@@ -143,11 +143,12 @@ def read_video(
         layout: a world or its name, such as "phase", if the scene is unknown. Walls, landmarks,
             sizes and starts are then read from the picture. In PHASE the scene's ``turning`` (which
             way agents can turn) is inferred from the turns seen; "both" if none are.
-        frames_per_step: frames of the film per frame of the event; a frame of the event is 1/12 s
-            of simulated time. Default: a quarter of a second of the film, as in the package's
-            films. Bodies are taken to move straight between two frames of the film.
+        frames_per_step: frames of the film per frame of the event, which is a planner step (1/12 s
+            of simulated time). Default: the number of film frames in a quarter of a second, as in
+            the package's films. Bodies are taken to move straight between two frames of the film.
         start: seconds of the film before the event begins, such as those of a still picture. For
-            the films of PHASE's authors use 0.1, as their pictures show fifths of a step.
+            the films of PHASE's authors use 0.1. They show five pictures a step, 0.05 s apart.
+            The event's frame is the mean over the step, which the third picture shows best.
         max_gap: largest number of successive frames of the event in which a body may be lost; its
             places there are interpolated.
         progress: whether to show a progress bar; None: if stderr is a terminal.

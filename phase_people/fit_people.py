@@ -38,8 +38,8 @@ def fit_people(
     """Fit an observer to people's answers by NUTS.
 
     If the judgments say who gave which answer, answers are modelled by rater, which takes several
-    times as long as numbers of answers alone. Response times of a study are part of the likelihood
-    (:func:`~phase_people.answers.people`).
+    times as long as a model of the counts of answers. Response times of a study are part of the
+    likelihood (:func:`~phase_people.answers.people`).
 
     Args:
         events: an event file, a folder of event files, or events; all of PHASE.
@@ -51,8 +51,8 @@ def fit_people(
             :class:`phase_ppl.Model`, is asked. An evaluation or its folder has its posteriors read,
             so nothing is computed twice. A mapping event id -> posterior or prediction is used as
             it is. So is evidence (:func:`phase_ppl.evidence_from`). None: surface cues alone.
-        perception: noise of several readings of each video; the model is asked about each reading.
-            None: no noise.
+        perception: several noisy readings of each video; the model is asked about each of them.
+            None: one reading, without noise.
         moments: fit to judgments made at moments of the films, not to those of whole films. Each
             moment counts as a video that ends there. So intervals are too narrow where people give
             the same answer at several moments. Response times do not count. The model must give

@@ -40,8 +40,9 @@ class PlannerConfig:
         discount: factor on rewards for each step into the future (authors' code).
         early_stop: whether a search ends once no other action can catch up. It never changes the
             action.
-        paired: whether all root actions of a search meet the same particles and random numbers
-            (common random numbers), and so are compared like with like. The paper does not do so.
+        paired: whether all actions at the root of a search meet the same particles and random
+            numbers (common random numbers), and so are compared like with like. The paper does not
+            do so.
         inner_steps: number of solver steps per physics substep when agents imagine the future.
         swivel: True: agents imagine that a held item hangs on a rod, free to swivel (authors'
             code). False: they imagine that it is rigidly held (printed).
@@ -83,7 +84,7 @@ class PlannerConfig:
 
     @classmethod
     def fast(cls) -> PlannerConfig:
-        """Return the fast preset: 100 simulations per decision, paired over the root actions.
+        """Return the fast preset: 100 simulations per decision, ``paired``.
 
         ``benchmarks/realism.py`` compares it with the paper's setting on 50 real videos. It agrees
         with 71 % of the real agents' decisions (paper's setting 73 %, 300 unpaired simulations

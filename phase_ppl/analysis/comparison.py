@@ -75,9 +75,9 @@ class Comparison(Printed):
             ``simulations``, ``frames``, and the measures of
             :func:`~phase_ppl.analysis.comparison.accuracy`.
         settings: all that determines the result: event, model, kernels with their options, budget,
-            chains, seed, and ``reference``, the posterior that kernels are compared with. Of this
-            it has the ``description``, the ``marginals``, the ``error`` (distances between its
-            halves) and the probabilities of the ``truth``.
+            chains, seed, and ``reference``, the posterior that kernels are compared with. Keys of
+            ``reference``: ``description``, ``marginals``, ``error`` (distances between its halves)
+            and ``truth`` (probabilities of the true answers).
     """
 
     runs: pd.DataFrame

@@ -136,6 +136,8 @@ _MOST_DECIMALS: Final = 4
 class Estimate(float):
     """A float with its Monte-Carlo error, printed as 0.83 ± 0.04.
 
+    Arithmetic with it gives plain floats, without an error.
+
     Attributes:
         error: standard error; NaN: unknown, printed as 0.83 ± unknown.
         why: why the value or the error is unknown, printed after the number; "": no reason is

@@ -90,7 +90,13 @@ class EventPosterior(Hypotheses):
         raise NotImplementedError
 
     def map_record(self) -> dict[str, Any]:
-        """Return :meth:`map` as plain data; in PHASE ``goal_*`` are the effective goals."""
+        """Return :meth:`map` as a dictionary of plain data.
+
+        In PHASE the keys are ``goal_<agent>`` (effective goals), ``stated_goal_<agent>``, ``alpha``
+        and ``strength_<agent>``; in other worlds ``goals``, ``relation`` and ``strengths``, as of
+        :meth:`phase_ppl.Hypothesis.to_dict`. A sampled posterior adds ``log_joint``, nats, and the
+        labels of relations and scenarios.
+        """
         best = self.map()
         record = best.to_dict()
         if "goals" in record:
@@ -231,7 +237,8 @@ class EventPosterior(Hypotheses):
         Returns:
             Three variables (time,), in nats. ``log_odds``: log odds of ``event`` over ``over``
             given the frames so far, in hindsight for a sampled posterior (see :meth:`over_time`).
-            ``error``: its standard error, by the jackknife over sets of searches; NaN: unknown.
+            ``error``: its standard error, by the jackknife over sets of searches; NaN: unknown, as
+            always for a sampled posterior.
             ``change``: by how much each frame changes ``log_odds``. The attribute ``tempering``
             says what a frame counts.
 
@@ -378,7 +385,7 @@ class EventPosterior(Hypotheses):
         return Observation(seen) if len(seen) >= MIN_FRAMES else None
 
     def under(self, prior: Callable[..., object]) -> Self:
-        """Return what :meth:`with_prior` does, for a prior that was checked before."""
+        """Return the same as :meth:`with_prior`, without its check of the prior, which is slow."""
         raise NotImplementedError
 
     def sensitivity(

@@ -126,8 +126,8 @@ class Hypotheses(Printed):
             definition: one of two. Conditions in words (:mod:`phase_ppl.analysis.query`) give a
                 quantity that is true or false. A function of a hypothesis
                 (:class:`~phase_ppl.analysis.query.Named`) is called at once, once per distinct
-                hypothesis. If it returns truth values, whole numbers or strings, the quantity has
-                categories, and except for strings also a mean; if it returns floats, a real number.
+                hypothesis. Truth values, whole numbers and strings make categories, the first two
+                also with a mean. Floats make the quantity a real number.
 
         Example:
             ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
@@ -177,18 +177,18 @@ class Hypotheses(Printed):
 
     @property
     def table(self) -> Rows:
-        """The table: codes or numbers of every quantity (row,), and weights (row,) of sum 1."""
+        """The rows: codes or numbers of every quantity (row,), and weights (row,) of sum 1."""
         return self._rows
 
     def by_frame(self) -> xr.Dataset | None:
-        """Return how each frame changes the log odds of all agents' goals; None: unknown.
+        """Return each frame's tempered log likelihood of every combination of goals; None: unknown.
 
-        This is known for the closed loop, unless the world has too many hypotheses for a table.
+        Their differences are the changes of log odds. They are known for the closed loop, in worlds
+        of one or two agents without too many hypotheses for a table.
 
         Returns:
-            In PHASE ``log_likelihood`` (time, goal_red, goal_green), the log likelihood of a frame,
-            in nats, times what a frame counts (tempering); and ``log_prior`` (goal_red,
-            goal_green).
+            ``log_likelihood`` (time, goal_<agent>, ...), nats, times what a frame counts; and
+            ``log_prior`` (goal_<agent>, ...), nats. In PHASE these axes are goal_red, goal_green.
         """
         return None
 
@@ -400,9 +400,9 @@ class Hypotheses(Printed):
         * sd, median, hdi, mode, top: the method of that name
         * odds(conditions), and a ratio of two numbers: a number with its error
 
-        The error of odds is to first order. In the error of a ratio, errors that both numbers share
-        cancel, if they come from leaving out sets of chains or searches. The other errors count to
-        first order.
+        The error of odds is to first order. The error of a ratio is by the jackknife, so what both
+        numbers share cancels. Parts of their errors that are not from the jackknife are added to
+        first order, as if independent; without a common jackknife all of both errors are.
 
         Raises:
             QueryError: the question cannot be read, names something unknown, asks for what a

@@ -238,7 +238,7 @@ class Posterior(EventPosterior):
         The kernels ``importance``, ``amis`` and ``smc`` estimate it. ``importance`` and ``amis``
         give an error, by the jackknife over chains. The error of ``smc`` is NaN: repeat the run
         with other seeds to see it. The estimate itself is NaN in three cases: the kernel gives
-        none, the prior was changed since, or the posterior of the closed loop was sampled, which
+        none, the prior was changed since, or the run sampled the closed loop's posterior, which
         has its own ``log_evidence``. ``why`` of the estimate says which.
         """
         stats, why = self._tree["sample_stats"].dataset, ""
@@ -323,7 +323,8 @@ class Posterior(EventPosterior):
 
         It is the simulation of :meth:`map` if a chain accepted it. Otherwise it is the simulation
         of the draw with the highest log joint, because only trajectories of draws are kept. Nothing
-        is simulated again. If the closed loop's table was sampled, it is the observed trajectory.
+        is simulated again. If the run sampled the closed loop's posterior, it is the observed
+        trajectory.
         """
         if "trajectory" not in self._tree[trees.SIMULATED].dataset:
             return self.observed()  # the closed loop conditions on it, frame by frame
@@ -405,12 +406,12 @@ class Posterior(EventPosterior):
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
         Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
-        and the group ``sample_stats``.
+        plus the group ``sample_stats``.
 
         Each label of a goal or relation has an indicator, 0 or 1. An indicator that is constant
         within every half of a chain has no R-hat and is left out; the posterior's attribute
-        ``left_out`` (JSON) names it. With fewer than ten draws per chain ArviZ's effective sizes do
-        not depend on the draws: see :meth:`diagnostics`.
+        ``left_out`` (JSON) names it. With fewer than ten draws per chain ArviZ's effective sizes
+        are fixed by its formula, whatever the draws: see :meth:`diagnostics`.
 
         Raises:
             InvalidSettingError: the draws have weights of their own, so they are not chains.

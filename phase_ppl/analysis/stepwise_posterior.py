@@ -52,17 +52,18 @@ class StepwisePosterior(EventPosterior):
 
     Methods for questions are described in :class:`phase_ppl.analysis.hypotheses.Hypotheses`.
 
-    The posterior is a sum over all hypotheses, or, with more than
-    :data:`~phase_ppl.models.prior_masses.MOST_HYPOTHESES`, over that many draws.
+    The posterior is a sum over all hypotheses. With more than 500 000 of them it is a weighted sum
+    over that many, drawn from a mixture of the prior and of goals that the video makes likely.
 
-    The terms of the sum are approximate. Searches estimate the agents' policies: ``.error`` of
-    every answer is the resulting standard error, by the jackknife over the sets of searches
-    (``planner_seeds``); with one set it is NaN. Velocities, holds and strengths come from a filter.
-    Strengths are taken to be independent of the goals given the video.
+    The terms of the sum are approximate. Searches estimate the agents' policies: ``.error`` of an
+    answer is the resulting standard error, by the jackknife over the sets of searches
+    (``planner_seeds``); with one set it is NaN. It is NaN too for answers that depend on strengths.
+    Velocities, holds and strengths come from a filter. Strengths are taken to be independent of the
+    goals given the video.
 
-    The posterior is tempered if the likelihood's ``weight`` is not 1, or for strengths
-    ``Tracking.strength_weight``. Frames then count less than they would under the model
-    (:class:`phase_ppl.StepwiseLikelihood` says how these numbers were chosen).
+    Each frame counts ``weight`` (of the likelihood) for goals, and ``Tracking.strength_weight`` for
+    strengths. Where these are not 1, the posterior is tempered: frames then count less than they
+    would under the model (:class:`phase_ppl.StepwiseLikelihood` says how the numbers were chosen).
 
     With a simulator of your own nothing is filtered, strengths are part of the hypotheses, and by
     default a frame counts in full. If the simulator has a density of the next frame, the posterior
@@ -72,7 +73,8 @@ class StepwisePosterior(EventPosterior):
         found: what the closed loop read (:mod:`phase_ppl.analysis.stepwise_table`).
         frame: the last frame that counts; by default the last of the video.
         prior: the prior's program, for questions about sites beyond those of a hypothesis.
-        table: table of ``found``, if it was made before.
+        table: the hypotheses' likelihoods, computed from ``found`` by another posterior of the same
+            video; None: they are computed.
 
     Raises:
         InvalidEventError: ``found`` lacks something; the message names it.
@@ -288,7 +290,7 @@ class StepwisePosterior(EventPosterior):
     def surprise(self) -> FloatArray:
         """Return (time,) the nats by which each frame was less probable than a perfect match.
 
-        A perfect match is a frame exactly where an action puts it, if that action were certain. A
+        In a perfect match the bodies are exactly where an action of probability 1 puts them. A
         frame's probability is under the posterior given the frames before. The first frame has 0.
         With a simulator of your own all are NaN, because no perfect match is known.
         """
@@ -326,9 +328,9 @@ class StepwisePosterior(EventPosterior):
               whether all of them are sure.
             * ``surprise_median``: median of :meth:`surprise`, nats, without the part that no action
               explains.
-            * ``surprising_share``: share of frames in which this exceeds ``surprise_reference``.
+            * ``surprising_share``: share of frames where this exceeds ``surprise_reference`` (4).
             * ``unexplained_most``: largest part of a frame's surprise that no action explains,
-              nats. ``unexplained_frames``: the frames in which that part is large.
+              nats. ``unexplained_frames``: indices of frames whose part exceeds 17 nats.
             * Facts about the tracks: the keys of :func:`phase_ppl.analysis.verdict.of_tracks`.
             * The verdict: ``trust``, ``answer``, ``checks``, ``next``, ``verdict``
               (:func:`phase_ppl.analysis.verdict.judged`).

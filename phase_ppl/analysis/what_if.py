@@ -64,7 +64,8 @@ class WhatIf(Printed):
         scenes: (world,) the scene as it is, then the changed one.
         goals: (simulation, agent) effective goals of the unchanged hypotheses, indices into
             ``world.goals``.
-        poses: (world, simulation, time, entity, [x, y, angle]), units and radians.
+        poses: (world, simulation, time, entity, [x, y, angle]), units and radians. Removed entities
+            are far outside the arena; in :attr:`tracks` they are NaN.
         removed: indices of the entities that are missing from the changed world.
         is_removal: whether a removal is the only change.
     """
@@ -101,8 +102,8 @@ class WhatIf(Printed):
         """Return the time at which each simulation reaches an agent's goal.
 
         A goal to get something somewhere is reached when that is first true. A goal to get or keep
-        something away is reached if it is away at the end. A removed entity counts as away from
-        everything.
+        something away is reached, in the last frame, if it is away then. A removed entity counts as
+        away from everything.
 
         Args:
             agent: name of the agent, such as "red agent", or the first word of the name.

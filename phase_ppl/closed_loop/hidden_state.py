@@ -133,7 +133,7 @@ class Tracking:
         strength_weight: exponent of each frame's density as evidence for strengths. Below 1 this
             evidence is tempered.
         scale: scale of the density of an entity's distance from where the right action would have
-            put it, units. The noise of the observation is added to it.
+            put it, units. ``noise`` is added to it, as the root of the sum of squares.
         angle_scale: scale of the density of an agent's deviation from the right angle, rad.
         tail: degrees of freedom of Student's t, the form of both densities.
         noise: standard deviation of the noise on observed positions, units. None: estimated from

@@ -77,14 +77,16 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
 
     These quantities are counted: ``relation`` and ``scenario`` (of the two agents in PHASE, of
     every pair of agents in other worlds), ``goal_type``, ``goal``, ``strength`` [N], ``agent_size``
-    and ``item_size`` [units]. A generated set also has ``family``, ``layout``, ``reflection`` and
-    ``split``.
+    and ``item_size`` [units]. Types of goals are LMO (an item and a landmark), LMA (an agent and a
+    landmark) and TE (the agent and the other one), with + for "to" and - for "away from". A
+    generated set also has ``family``, ``layout``, ``reflection`` and ``split``.
 
     These quantities are figures: ``frames``, the length of an event; ``speed`` of agents
     [units per simulated s], also by strength (``speed_150`` and so on); ``step``, the way of an
     agent in a frame [units]. Shares of time are ``agent_rests`` (slower than 0.5 units/s),
-    ``agent_holds`` (an item, inferred from places) and ``item_moves``. ``moves_to_the_end`` is a
-    share of events. Quantities without data are left out.
+    ``agent_holds`` (an item, inferred from places) and ``item_moves``. ``moves_to_the_end`` is
+    the share of events in which some body still moves within the last five frames. Quantities
+    without data are left out.
 
     Args:
         events: events of one world. Events without truth count where no truth is needed.
@@ -92,9 +94,10 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
     Returns:
         A row for each ``quantity`` and ``label``, the two levels of its index. A label is a counted
         value, such as "friendly", or what was computed of a figure, such as "mean". Columns are
-        ``count``, missing for figures; ``value``, the share of the label or the figure; ``error``,
-        the standard error of ``value``, NaN for extremes and single events (an event and its
-        reflected copies count as one); and ``phase``, the value of PHASE's events, NaN if unknown.
+        ``count``, missing for figures; ``value``, for a label its share, otherwise the figure
+        itself; ``error``, the standard error of ``value``, NaN for extremes and single events (an
+        event and its reflected copies count as one); and ``phase``, the value of PHASE's events,
+        NaN if unknown.
         ``attrs`` has the number of ``events``, of ``units`` (events without copies), of events
         ``without_truth`` and of agents ``without_strength``.
 

@@ -112,11 +112,13 @@ class Calibration(Printed):
 
     Attributes:
         table: a row per video and quantity. Columns: ``event`` and ``quantity``; ``rank``, the rank
-            of the truth among ``n`` draws of the posterior; and ``place``, from 0 to 1, (rank + u)
-            / (n + 1) with a random u. For goals and relations also the probability of the ``truth``
-            and of the ``top`` answer; ``right``, whether the top answer is the truth (1 or 0);
-            ``log_score``, the truth's log probability with a lapse, nats; and ``expected``, the log
-            score that the posterior expects, nats. For strengths these are NaN.
+            of the truth among ``n`` draws of the posterior, by newtons for a strength, by the
+            posterior probability of the answer for a goal or relation; and ``place``, from 0 to 1,
+            (rank + u) / (n + 1) with u uniform in [0, 1). For goals and relations also the
+            probability of the ``truth`` and of the ``top`` answer; ``right``, whether the top
+            answer is the truth (1 or 0); ``log_score``, log(0.99 p + 0.01 / K), nats, of the
+            truth's probability p among K answers; and ``expected``, the log score that the
+            posterior expects, nats. For strengths these are NaN.
         evaluation: the evaluation with the answers; its events are the videos.
         notes: known reasons why the model cannot be calibrated.
     """
@@ -134,8 +136,8 @@ class Calibration(Printed):
         and relations also the share of ``right`` answers with its 95 % interval ``low`` to
         ``high``; ``confidence``, the answers' mean probability; mean ``log_score`` and ``expected``
         log score, nats; and ``p_score``, the probability of such a difference between them by
-        chance. For that, 10 000 sets of truths are drawn from the stated probabilities; to judge
-        scores that are too low, these are mixed with the lapse of log scores. The last column is
+        chance. For that, 10 000 sets of truths are drawn from the stated probabilities p; to
+        judge scores that are too low, from 0.99 p + 0.01 / K. The last column is
         the ``verdict``, in words.
         """
         rows = {name: self._summed(name, part) for name, part in self._parts.items()}
@@ -149,11 +151,11 @@ class Calibration(Printed):
             quantity: a goal, a relation or a strength.
 
         Returns:
-            For a goal or a relation a row per bin of top answers, of as many videos each: their
-            mean ``probability`` and the ``share`` of right ones. For a strength a row per central
-            interval of the posterior: its ``probability`` and the ``share`` of intervals that hold
-            the truth. Both have the 95 % interval ``low`` to ``high`` of the share (Clopper and
-            Pearson) and the number ``n`` of videos.
+            For a goal or a relation a row per bin of top answers, sorted by probability, with equal
+            numbers of videos: their mean ``probability`` and the ``share`` of right ones. For a
+            strength a row per central interval of the posterior: its ``probability`` and the
+            ``share`` of intervals that hold the truth. Both have the 95 % interval ``low`` to
+            ``high`` of the share (Clopper and Pearson) and the number ``n`` of videos.
 
         Raises:
             UnknownNameError: there is no such quantity.

@@ -228,7 +228,10 @@ class ModelComparison(Printed):
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per model; columns (measure, part), parts "value", "ci_low", "ci_high" (95 %)."""
+        """A row per model; columns (measure, part), parts "value", "ci_low", "ci_high" (95 %).
+
+        A measure is a key of :attr:`metrics`, or a path of keys, such as "human.goal_r".
+        """
         columns: dict[tuple[str, str], list[Any]] = {}
         for measure in _TABLE:
             found = [at(self.metrics[name], measure) for name in self.models]

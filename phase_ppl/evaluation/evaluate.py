@@ -138,9 +138,9 @@ def evaluate(
         judgments: people's judgments, in place of those in the events: a file
             (:func:`phase_ppl.load_judgments`) or a study.
         progress: whether to show a bar on stderr; by default if stderr is a terminal.
-        observer: turns the model's answers into those of a person who watches. "people", the
-            package's own; the file of a fitted observer; a result of :func:`phase_ppl.fit_people`;
-            or any other :class:`phase_ppl.Onlooker`. By default none.
+        observer: turns the model's answers into those of a person who watches: "people" (the
+            package's own), the file of a fitted observer, a result of :func:`phase_ppl.fit_people`,
+            or any other :class:`phase_ppl.Onlooker`. None: the model's answers stay.
         **options: options of a named model; for a ``Model``, options of :func:`phase_ppl.infer`. A
             function takes none.
 

@@ -125,7 +125,8 @@ class Evaluation(Printed):
             * ``answer``: whether the label is the model's answer.
             * ``truth``: whether the label is true (NA: unknown).
             * ``sure``: whether the posterior is sure of the answer (NA: no posterior).
-            * ``decided``: whether the event is decided (NA: no posterior).
+            * ``decided``: whether the posterior is sure of the event as a whole, by its
+              ``diagnostics()`` (NA: no posterior).
             * ``people``: share of people who gave the label (NaN: nobody was asked).
             * ``n``: number of people who answered the question.
             * ``at``: seconds of the film that had been shown (NaN: the whole film).

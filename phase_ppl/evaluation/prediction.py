@@ -94,8 +94,8 @@ class Prediction:
         world: world of the event; it has the questions and their answers.
         sure: question -> whether the answer is sure, by the posterior's ``leaders()``; empty: the
             model has no posterior.
-        decided: whether the event is decided, by the posterior's ``diagnostics()``; None: the model
-            has no posterior.
+        decided: whether the posterior is sure of the event as a whole, by its ``diagnostics()``;
+            None: the model has no posterior.
         moments: seconds of the film -> question -> (label,) probabilities given the film until
             then; for the moments at which people judged.
         hindsight: says in words that ``moments`` are in hindsight

@@ -241,8 +241,8 @@ def compare(
             function that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of
             one of these and its options, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``.
             Options are the kernel's own, ``chains`` and ``settings``. A preset keeps its planner.
-            Bottom-up proposals follow ``settings``, or the settings among a kernel's options; the
-            column ``proposals`` of the printed table names them.
+            How goals are proposed from the video follows from ``settings``, or from the settings
+            among a kernel's options; the column ``proposals`` of the printed table names it.
         budget: limit for each run: ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``, the
             initial particles included; or ``phase_ppl.seconds(t)``, compiling included. The last
             iteration may exceed it. Default: 500 simulations.
@@ -257,8 +257,8 @@ def compare(
             distance between two halves of the reference. Kernels that differ by less are not
             ranked.
         settings: settings of SIMPLE; by default those of the preset "simple". If proposals need a
-            reading of the video, each run is charged the time of a reading, even if the video was
-            read before.
+            reading of the video by the closed loop, the time of a reading counts in each run, even
+            if the video was read before.
         workers: number of processes; by default one per usable core. With an ``executor``: how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.

@@ -117,7 +117,8 @@ def infer(
             the closed loop.
         seed: a whole number >= 0, the seed of everything random.
         planner: settings of the package's own planner: "fast" (the default), "paper", another name
-            of :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``.
+            of :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``. It replaces the
+            model's.
         workers: number of processes, or of the closed loop's threads; by default one per usable
             core. With an ``executor``: how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``

@@ -38,7 +38,8 @@ class SimpleSettings:
     SIMPLE proposes the next hypothesis from a window, a short interval of the video.
 
     Attributes:
-        eta: how strongly windows in which the simulation has large errors are preferred, 1 / units.
+        eta: how strongly windows in which the simulation has large errors are preferred, 1 / units;
+            0: all windows alike.
         proposal: how goals are proposed. "learned": from features of what the agents did, with
             weights learned in PHASE. "paper": from distances alone, with ``gamma``, ``unit`` and
             ``sign``. "closed_loop": from the closed loop's likelihoods of the window's frames; the
@@ -50,7 +51,7 @@ class SimpleSettings:
             "printed": none, so that goals other than the nearest are hardly ever proposed.
         prior_share: share of proposals that are drawn from the prior. With 0, as printed, a
             hypothesis that the windows exclude, such as a strength beyond 150 to 600 N, is never
-            tried. So 0 is for ``rule="paper"`` only.
+            tried. So 0 is only for ``rule="paper"``, an option of the kernel.
         sign: sign of the distances in the paper's proposal. "intended": goals that are close are
             proposed. "printed": the paper's formula, which proposes goals that are far.
         strength: how strengths are proposed. "network": by a network trained in PHASE. "analytic":
@@ -138,9 +139,9 @@ class Budget:
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
-    Only simulations that were run count. A proposal without prior mass, or with a known simulation,
-    costs nothing. A simulation stopped early counts as one. An iteration that has begun is
-    finished, so a run may exceed the budget by one iteration of all particles.
+    Only simulations that were run count. A proposal without prior mass, or one whose simulation was
+    stored earlier in the run, costs nothing. A simulation stopped early counts as one. An iteration
+    that has begun is finished, so a run may exceed the budget by one iteration of all particles.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.

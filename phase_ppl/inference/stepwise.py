@@ -53,14 +53,14 @@ class Watch:
     ``close()``; as a context manager it closes itself.
 
     Args:
-        scene: the start.
+        scene: the scene of the event.
         model: prior, and planner or simulator; its likelihood is None or a
             :class:`phase_ppl.StepwiseLikelihood`. Default: the paper's prior and simulator.
         seed: a whole number >= 0, the seed of the agents' beliefs and searches, or of the samples
             of a simulator of your own.
         threads: number of searches at a time; by default one per usable core. With a simulator of
             your own: largest number of processes, which start if a frame takes long. The posterior
-            does not depend on it.
+            does not depend on this number.
         event_id: name of the event.
         observation: the whole video, if it is known beforehand, for a prior that looks at it.
             Frames must be given one by one all the same.

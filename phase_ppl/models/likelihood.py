@@ -78,7 +78,8 @@ class InNats:
 class RadialLikelihood:
     """The paper's likelihood: exp(-beta ||s_t - s^_t||) / Z in every frame.
 
-    ||s_t - s^_t|| is the distance between the simulated and the observed positions of all entities.
+    ||s_t - s^_t|| is the distance between simulated and observed positions: the Euclidean norm over
+    all entities' x and y stacked.
 
     Attributes:
         beta: how fast the density falls with the distance, 1 / units. Default: the paper's 0.05.
@@ -114,9 +115,9 @@ class RadialLikelihood:
         return -self.beta * errors - self._log_normaliser  # type: ignore[operator,return-value]
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
-        """Return the sum of distances, units, at which all frames have log density ``log_floor``.
+        """Return the sum of distances over all frames, units, at a given log density.
 
-        There are ``n_frames`` frames.
+        ``log_floor`` is the log density of all ``n_frames`` frames together, nats.
         """
         spent = n_frames * self._log_normaliser
         return -(log_floor + spent) / self.beta  # type: ignore[operator,return-value]

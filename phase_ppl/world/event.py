@@ -95,8 +95,9 @@ class Observation:
     """Observed trajectories of all entities of a world.
 
     Attributes:
-        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped];
-            entities in the order of ``world.entities``. Frame 0 is the start. Frame k is the mean
+        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped]; angle 0
+            looks up, and angles grow counter-clockwise. Entities are in the order of
+            ``world.entities``. Frame 0 is the start. Frame k is the mean
             over the five substeps of planner step k, which takes a twelfth of a simulated second.
             :meth:`at_rate` and :meth:`at_times` convert frames at other rates. NaN means that a
             body was not seen in a frame (all its three numbers are NaN), or that its angle was not.
@@ -126,8 +127,9 @@ class Observation:
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
         """Return the observation made of frames at any rate, such as a tracker's or a game's.
 
-        Bodies are taken to move straight between given frames. From 60 frames a second, each frame
-        of the observation is the mean of five.
+        At 12 frames a second the frames are taken as they are. At any other rate bodies are taken
+        to move straight between given frames, and a frame of the observation is the mean of five
+        points of this motion, 1/60 s apart. At 60 frames a second these are five given frames.
 
         Args:
             trajectory: (time, entity, coord) x, y [units], angle [rad]; frame 0 is the start.
@@ -351,7 +353,8 @@ class Observation:
     def until(self, seconds: float) -> Observation:
         """Return the frames that the film shows until ``seconds``, at least two, as an observation.
 
-        A film also has pictures between two frames. They do not count, since they come from both.
+        In the package's films the pictures between two frames are interpolated from both. They do
+        not count as having shown the second.
 
         Args:
             seconds: time since the film began, seconds of the film (0.25 per frame).

@@ -213,8 +213,8 @@ class Hypothesis(Printed):
         stated: (agent,) own goal of each agent, an index into ``world.goals``. The own goal of an
             agent that helps or hinders has no effect, and may be None. ``goal_<agent>``, such as
             ``goal_red``, is the own goal of one agent; ``world.keys`` has the agents' short names.
-            Where ``stated`` has None, ``goal_<agent>`` is the goal that the agent would have if it
-            helped the agent that it helps or hinders.
+            Where ``stated`` has None, ``goal_<agent>`` is the goal with which the agent would help
+            the other one, even if it hinders.
         towards: (agent,) whom each agent helps or hinders: a pair of that agent's index and 1 for
             helping, -1 for hindering; or None.
         strengths: (agent,) maximum force of each agent, newtons. ``strength_<agent>``, such as
@@ -333,7 +333,10 @@ class Hypothesis(Printed):
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
-        """Effective goal of each agent, (agent,), an index into ``world.goals``."""
+        """Effective goal of each agent, (agent,), an index into ``world.goals``.
+
+        It is what the agent acts for: its own goal, or what helping or hindering makes it want.
+        """
         stated = [0 if goal is None else goal for goal in self.stated]
         ways = enumerate(self.towards)
         return tuple(effective_goal(stated, agent, way, self.world) for agent, way in ways)

@@ -305,8 +305,8 @@ class World:
         """Return a scene of this world.
 
         Args:
-            start: name of every entity -> (x, y) or (x, y, angle), units and rad. Angles are 0 by
-                default.
+            start: name of every entity -> (x, y) or (x, y, angle), units and rad. Angles are 0 (up)
+                by default.
             size: size R of entities, units: name -> size, or one size for all. Entities that are
                 not named have size 1. R is an item's radius; an agent's shape scales with it.
             walls: (n, 2, 2) end points (x, y) of the inner walls, units; None: the world's walls.
@@ -458,7 +458,8 @@ class Scene:
     Entities are in the order of ``world.entities``: agents first, then items.
 
     Attributes:
-        start: (entity, 3) x, y [units], angle [rad] of each entity at rest, holding nothing.
+        start: (entity, 3) x, y [units], angle [rad] of each entity at rest, holding nothing. Angle
+            0 looks up, and angles grow counter-clockwise.
         radius: (entity,) size R of each entity, units: an item's radius, an agent's scale.
         walls: (n, 2, 2) end points (x, y) of the inner walls, units; by default the world's. The
             arena's border is a wall too.

@@ -181,9 +181,10 @@ def generate(
     number of workers, and after any interruption.
 
     A situation comes from a family (:func:`phase_ppl.draw_situation`), or it is a random scene
-    ``world.random_scene(seed)`` with a hypothesis ``roles(world, seed)``. An event in a random
-    scene is kept if an agent with a goal of its own reaches that goal. Except in PHASE, one number
-    gives a whole event: the ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
+    ``world.random_scene(seed)`` with a hypothesis ``roles(world, seed)``. An event of a family is
+    kept if it shows the family's scenario. An event in a random scene is kept if an agent with a
+    goal of its own reaches that goal. Except in PHASE, one number gives a whole event: the ``seed``
+    of its entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.data.generated`).
@@ -198,7 +199,8 @@ def generate(
         cells: FAMILY or FAMILY:VARIANT -> number of events (``available_families`` lists the
             families). A family's number is spread evenly over its variants. By default PHASE has
             the paper's 500 events. In other worlds, or with ``roles``, scenes are random.
-        splits: name of a split -> share of the events; by default the paper's 320 / 80 / 100.
+        splits: name of a split -> share of the events, in any unit; by default the paper's "train"
+            320, "validation" 80 and "test" 100.
         copies: number of further copies of each event, with other reflections and colours, in the
             event's split. Only PHASE has copies. Reflection and colours of the event itself are
             drawn at random there too.
