@@ -184,17 +184,6 @@ def test_the_study_is_full_once_enough_people_are_at_it(store: Store, clock: Clo
     enter(store, raters=3)
 
 
-def test_an_excluded_person_is_replaced(store: Store) -> None:
-    for _ in range(3):
-        who = enter(store, raters=1)
-        assigned(store, who)
-        store.end(who, "finished")
-    with pytest.raises(Refused, match="full"):
-        enter(store, raters=1)
-    store.exclude(who, "slept")
-    enter(store, raters=1)
-
-
 def test_videos_that_too_many_have_seen_take_no_places_from_others(store: Store) -> None:
     seen: dict[str, list[int]] = {}
     for _ in range(4):  # after three every video has been seen once
