@@ -378,11 +378,6 @@ def closed_with(player: Player, *said: str | bytes, **headers: str) -> int:
         return close_code(socket)
 
 
-def first_of(socket: WebSocketTestSession) -> Message:
-    """Return what comes first but for pings, of which there may be some before."""
-    return next(message for message in iter(socket.receive_json, None) if message["t"] != "ping")
-
-
 def close_code(socket: WebSocketTestSession) -> int:
     for _ in range(2000):
         try:
@@ -452,12 +447,3 @@ def test_nobody_plays_before_the_introduction_or_answers_a_session_by_hand(
     player.cookie = ""
     player.enter()
     assert [message["t"] for message in player.play(drives()) if message["t"] != "ping"] == ["go"]
-
-
-def test_a_second_window_takes_over(lobby: TestClient) -> None:
-    player = Player(lobby)
-    with player.connect() as first:
-        assert first_of(first)["t"] in ("full", "wait")
-        with player.connect() as second:
-            assert first_of(second)["t"] == "wait"
-            assert close_code(first) == 4409
