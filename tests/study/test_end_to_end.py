@@ -1,4 +1,4 @@
-"""From two people at play to people beside models, by way of both likelihoods."""
+"""Sessions that two people played are read by both likelihoods, by their own rule of motion."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-from phase_study import play, simulate
+from phase_study import play
 from phase_study.room import Room
-from phase_study.study import Study
 from tests.study.players import both_play, drives, make_study, near_goals
-from tests.study.studies import empty_clips, serving, unseen_films
+from tests.study.studies import serving
 
 QUICK = ppl.PlannerConfig(particles=6, simulations=8)
 
@@ -78,26 +77,3 @@ def test_a_session_is_simulated_by_its_own_rule(sessions: Path, kernel: str) -> 
     # whoever drives from rest in each step goes no further than the strongest can
     way = abs(post.replay()[:, :2, :2] - event.scene.start[:2, :2]).max()
     assert way < 0.9 * event.observation.n_frames
-
-
-def test_from_play_to_people_beside_models(
-    sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("phase_study.study.make_clips", empty_clips)
-    monkeypatch.setattr("phase_ppl.render.videos", unseen_films)
-    events = ppl.load_events(sessions)
-    judging = Study.new(tmp_path / "judging", events, "judgment", raters=6, workers=1)
-    believed = ppl.evaluate(events, "last_frame")
-    out = tmp_path / "answers"
-    simulate.simulate(judging, out, people=8, predictions=believed.predictions, lapse=0.2)
-    judged = ppl.load_judgments(out / "judgments.csv", events)
-    assert len(judged.table) >= 3 * (6 * len(events) - 4)
-    models = [
-        ppl.evaluate(events, name, judgments=out / "judgments.csv", out=tmp_path / name)
-        for name in ("last_frame", "majority")
-    ]
-    comparison = ppl.compare_models(models)
-    assert comparison.people["n_events"] == len(events)
-    assert comparison.people["goal_accuracy"]["value"] > 1 / 36
-    ppl.figures.accuracy(comparison, path=tmp_path / "accuracy.png")
-    assert (tmp_path / "accuracy.png").stat().st_size > 1000
