@@ -97,10 +97,12 @@ def test_judgments_are_read_and_joined_to_the_events(out: Path) -> None:
     assert all(len(event.judgments["responses"]) == 2 for event in with_people)
     metrics = ppl.evaluate(events, "majority", judgments=found).metrics
     assert metrics["people"]["by_participant"]["n_participants"] == 2
+    assert "scripted" not in metrics["people"]
 
 
 def test_the_readme_counts_everybody(judged: Study, out: Path) -> None:
     text = (out / "README.md").read_text("utf-8")
+    assert "rehearsal" not in text
     for line in ("entered | 7", "consented | 6", "declined | 1", "failed the quiz | 1",
                  "at it now | 1", "finished | 3", "withdrawn | 1", "excluded | 1",
                  "**in the tables** | 2"):  # fmt: skip

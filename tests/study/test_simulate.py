@@ -106,15 +106,6 @@ def test_a_rehearsal_stays_marked_in_all_that_is_made_of_it(
         assert words in " ".join(figure.get_supxlabel().split())
 
 
-def test_answers_of_people_are_not_marked(study: Study, tmp_path: Path) -> None:
-    study.export(tmp_path / "out")
-    assert "rehearsal" not in (tmp_path / "out" / "README.md").read_text("utf-8")
-    event = ppl.load_event("collaborate")
-    found = ppl.evaluate([event], "majority", workers=1, progress=False)
-    assert "rehearsal" not in str(found)
-    assert "scripted" not in found.metrics["people"]
-
-
 def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> None:
     with pytest.raises(InvalidSettingError, match="lapse=2, expected a share"):
         simulate(study, tmp_path / "out", 1, lapse=2)
