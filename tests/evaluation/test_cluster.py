@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,9 +12,25 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.world.errors import SimulationError
 from tests.evaluation.toys import evaluate, guesses, several
-from tests.simulator.clusters import local_cluster
+from tests.simulator.clusters import local_cluster, note
 
 EVENTS = several(8)
+
+
+class Warms:
+    """Guesses; leaves notes of the begin and the end of its warming up."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def warm_up(self) -> None:
+        for _ in range(2):
+            note(self.folder)
+            time.sleep(0.2)
+
+    def __call__(self, *given: Any) -> Any:
+        time.sleep(0.2)
+        return guesses(*given)
 
 
 def same(one: ppl.Evaluation, other: ppl.Evaluation) -> None:
@@ -24,6 +42,18 @@ def same(one: ppl.Evaluation, other: ppl.Evaluation) -> None:
     for name, value in other.metrics.items():
         if name not in ("cost", "settings", "seconds", "cpu_seconds"):
             assert one.metrics[name] == value, name
+
+
+@pytest.mark.slow
+def test_processes_of_a_machine_warm_up_in_turn_so_that_only_the_first_compiles(
+    tmp_path: Path,
+) -> None:
+    with local_cluster() as (_, client):
+        ppl.evaluate(EVENTS, Warms(tmp_path), executor=client.get_executor(), progress=False)
+    notes = sorted(tmp_path.iterdir(), key=lambda file: int(file.name.split("-")[1]))
+    pids = [file.name.split("-")[0] for file in notes]
+    assert len(pids) == 4
+    assert pids[::2] == pids[1::2]
 
 
 @pytest.mark.usefixtures("own_models")
