@@ -100,15 +100,6 @@ def make(answer: str = "friendly") -> Any:
 
 
 @pytest.mark.usefixtures("own_models")
-def test_a_registered_model_is_made_with_its_options_and_asked_by_name() -> None:
-    ppl.register_model("one_thing")(make)
-    found = ppl.evaluate(still(), "one_thing", workers=1, answer="adversarial")
-    assert found.predictions["still"].answers == {"relation": "adversarial"}
-    assert found.settings["model"] == "one_thing"
-    assert found.settings["options"] == {"answer": "adversarial"}
-
-
-@pytest.mark.usefixtures("own_models")
 def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
     needs = ("numpy", "no_such_module", "no_such_package.module")
     ppl.register_model("heavy", needs=needs, extra="neural")(make)
@@ -118,17 +109,13 @@ def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
         ready("heavy", {})
 
 
-@pytest.mark.parametrize(
-    ("model", "options", "error", "message"),
-    [
-        (3, {}, InvalidSettingError, "neither a name"),
-        ("last_frame", {"planner": "fast"}, InvalidSettingError, r"'last_frame'.*planner"),
-        ("predicate", {"planner": "fast"}, InvalidSettingError, "planner is no.*rationality"),
-        ("predicate", {"on_item": -1}, InvalidSettingError, "on_item=-1"),
-    ],
-)
-def test_what_is_no_model_and_no_option_is_refused(
-    model: Any, options: dict[str, Any], error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        ready(model, options)
+def test_what_is_no_model_and_no_option_is_refused() -> None:
+    cases: tuple[tuple[Any, dict[str, Any], str], ...] = (
+        (3, {}, "neither a name"),
+        ("last_frame", {"planner": "fast"}, r"'last_frame'.*planner"),
+        ("predicate", {"planner": "fast"}, "planner is no.*rationality"),
+        ("predicate", {"on_item": -1}, "on_item=-1"),
+    )
+    for model, options, message in cases:
+        with pytest.raises(InvalidSettingError, match=message):
+            ready(model, options)
