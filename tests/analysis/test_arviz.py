@@ -10,8 +10,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -31,8 +29,6 @@ from .factory import (
     with_log_weight,
 )
 from .readings import reading
-
-matplotlib.use("Agg")
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its version 1
@@ -99,17 +95,10 @@ def agrees(post: Any) -> None:
 def test_arviz_says_what_is_printed_whatever_the_kernel(kernel: str, iterations: int) -> None:
     post = run_of(kernel, iterations)
     agrees(post)
+    if post.weights == "stratified":  # by all simulations, as no chain is
+        assert post.chains.attrs["weights"] == "count"
     with contextlib.suppress(InvalidSettingError):  # where proposals have no density
         agrees(Posterior(post.tree, "stratified"))
-
-
-def test_short_runs_answer_otherwise_than_their_chains() -> None:
-    post = run_of("local_mh", 6)
-    assert post.weights == post.arviz.attrs["weights"] == "stratified"
-    goal, probability = post.top("goal_red", 1)[0]
-    assert means_of(post.arviz)[f"goal_red[{goal}]"] == pytest.approx(probability, abs=0.01)
-    assert abs(means_of(post.chains).get(f"goal_red[{goal}]", 0.0) - probability) > 0.1
-    assert post.chains.attrs["weights"] == "count"
 
 
 def test_what_is_read_step_by_step_has_draws_and_no_chains() -> None:
@@ -217,9 +206,3 @@ def test_short_chains_have_a_summary_and_draws_of_unequal_weight_are_no_chains()
     agrees(post)
     with pytest.raises(InvalidSettingError, match=r"no chains: post\.arviz"):
         _ = post.chains
-
-
-@pytest.mark.skipif(NEW, reason="another package plots in ArviZ 1")
-def test_arviz_draws_chains(post: Posterior) -> None:
-    assert arviz.plot_trace(post.chains, var_names=["strength_red"]) is not None
-    plt.close("all")

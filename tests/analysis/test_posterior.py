@@ -151,13 +151,9 @@ def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:
 
 UNKNOWN: dict[str, Any] = {
     "goal_red": lambda post: post.marginal("goal_rde"),
-    "relation": lambda post: post.joint("goal_red", "relations"),
     "friendly": lambda post: post.probability(relation="freindly"),
     BLUE_TO_RED: lambda post: post.probability(goal_red="Get blue item to redd lm"),
-    "scenario": lambda post: post.probability(relation="neutral", given={"scenari": "x"}),
     r"\(1, 0\)": lambda post: post.probability(alpha=(1, 1)),
-    "strength_red": lambda post: post.hdi("strength_rad"),
-    "goal_green": lambda post: post.top("gaol_green"),
 }
 TO_RED_AT_ALL, IN_A_GAP = {"goal_red": TO_RED}, {"strength_red": (500, 550)}
 IMPOSSIBLE: dict[str, Any] = {

@@ -11,7 +11,7 @@ import xarray as xr
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
-from phase_ppl.analysis.weights import log_sum_exp, normalised, truncated
+from phase_ppl.analysis.weights import truncated
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 
@@ -81,13 +81,6 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
     assert Posterior(tree).weights == "stratified"
     with pytest.raises(UnknownNameError, match="'stratified'"):
         Posterior(tree, "stratifed")
-
-
-def test_weights_that_cannot_be_normalised_are_refused() -> None:
-    for bad in ([-math.inf], [math.nan, 0.0], []):
-        with pytest.raises(InvalidSettingError, match="cannot be weighted"):
-            normalised(np.array(bad))
-    assert log_sum_exp(np.array([])) == log_sum_exp(np.array([-math.inf] * 2)) == -math.inf
 
 
 EVEN = [(A, 0.5), (B, 0.5)]
