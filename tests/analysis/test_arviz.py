@@ -49,9 +49,6 @@ def post() -> Posterior:
     return Posterior(random_tree(1, n_chains=4, n_draws=40))
 
 
-# --- what is printed is what ArviZ says ----------------------------------------------------------
-
-
 @functools.cache
 def run_of(kernel: str, iterations: int) -> Posterior:
     given = {**runs.OPTIONS, "model": runs.MODEL, "kernel": kernel, "iterations": iterations}
@@ -151,9 +148,6 @@ def test_there_are_no_log_likelihoods_and_the_data_say_why(post: Posterior) -> N
     for data in (post.arviz, post.chains, StepwisePosterior(reading()).arviz):
         assert "log_likelihood" not in groups(pickle.loads(pickle.dumps(data)))
         assert "frames of a video" in data.attrs["loo"]
-
-
-# --- chains ---------------------------------------------------------------------------------------
 
 
 def test_chains_are_summed_up_with_the_effective_sizes_of_the_diagnostics(post: Posterior) -> None:

@@ -87,9 +87,6 @@ def test_curve_is_what_a_shorter_run_would_have_said() -> None:
     assert found["simulations"].tolist() == [4]
 
 
-# --- several runs ------------------------------------------------------------------------------
-
-
 def made_up(
     kernels: dict[str, float], repeats: int = 3, points: int = 8, error: float | None = None
 ) -> Comparison:
@@ -174,9 +171,6 @@ def test_damaged_file_is_refused(tmp_path: Path) -> None:
             Comparison.load(path)
 
 
-# --- ranks ---------------------------------------------------------------------------------------
-
-
 def places(c: Comparison) -> dict[str, tuple[int, int]]:
     ranks = c.ranks("tv_goals")
     return dict(zip(ranks.index, zip(ranks["best"], ranks["worst"], strict=True), strict=True))
@@ -212,9 +206,6 @@ def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() 
     assert "between its halves is not known" in str(made_up(two))
     with pytest.raises(UnknownNameError, match="tv_goals"):
         made_up(two).ranks("p_goals")
-
-
-# --- the figure --------------------------------------------------------------------------------
 
 
 def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(

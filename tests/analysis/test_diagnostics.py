@@ -104,9 +104,6 @@ def test_fit_is_of_positions_and_bodies_that_lie_on_each_other_come_first(simula
         assert found["verdict"].startswith("Bodies lie on each other or in a wall") == bool(frames)
 
 
-# --- scalars, categories, windows ------------------------------------------------------------
-
-
 def test_scalars_have_their_convergence_but_not_with_fewer_than_four_draws() -> None:
     tree = random_tree(2, n_chains=4, n_draws=12)
     found = Posterior(tree).diagnostics()
@@ -232,9 +229,6 @@ def test_leaders_say_by_how_much_they_lead() -> None:
     assert found["sure"]
     for unsure in (posterior_of([A] * 12 + [B] * 8, each), posterior_of([A], [[0]])):
         assert not unsure.leaders()["goal_red"]["sure"], "0.6 of twenty draws, or one draw"
-
-
-# --- R-hat and effective sizes --------------------------------------------------------------------
 
 
 def chains(n_chains: int, n_draws: int) -> NDArray[np.float64]:

@@ -127,8 +127,6 @@ def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() ->
     assert leads.error == pytest.approx(max(by_chains, by_draws))
 
 
-# --- errors against repetitions -----------------------------------------------------------------
-
 STATISTICS: dict[str, Callable[[Any], Any]] = {
     "P(relation=friendly)": lambda found: found,
     f"P(strength_red in [0, 350] | goal_red={GOALS[5]})": lambda found: found,

@@ -177,9 +177,6 @@ def test_questions_without_an_answer_raise_and_say_why(small: Posterior) -> None
                 ask(small)
 
 
-# --- parts of goals ------------------------------------------------------------------------------
-
-
 def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign() -> None:
     for goal, kinds, target, landmark, sign in (
         (BLUE_TO_RED, "item item", "blue item", "red lm", "to"),
@@ -193,9 +190,6 @@ def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign() -> No
             kind += "-other" if landmark == "none" else "-landmark"
             of = {part: labels[codes[f"{part}_{agent}"][0]] for part, labels in GOAL_PARTS.items()}
             assert of == {"goal_kind": kind, "target": target, "landmark": landmark, "sign": sign}
-
-
-# --- quantities of one's own ---------------------------------------------------------------------
 
 
 def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> None:
@@ -243,8 +237,6 @@ def test_definitions_that_cannot_be_raise_and_name_the_hypothesis(small: Posteri
             small.define(name, function)
     assert "x" not in small.quantities
 
-
-# --- in short -------------------------------------------------------------------------------------
 
 KEYS = ["goals", "relation", "scenario", "strengths", "errors", "map", "diagnostics", "settings"]
 KEYS += ["cost"]

@@ -236,8 +236,6 @@ def test_hostile_questions_get_one_short_clear_error(small: Posterior) -> None:
         small.query(3)  # type: ignore[arg-type]
 
 
-# --- any question ------------------------------------------------------------------------------
-
 POST = Posterior(random_tree(5, n_chains=5))
 POST.define("strong", "strength_red > 300")
 

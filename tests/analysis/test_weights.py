@@ -242,8 +242,6 @@ def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> 
     assert (check["state"], check["limit"]) == ("unknown", "the rest is unknown")
 
 
-# --- over time: by hand, against the posterior, and what later frames can change ------------------
-
 FOLLOWED = ("goal_red", "goal_green", "relation", "scenario")
 
 

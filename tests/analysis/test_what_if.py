@@ -252,9 +252,6 @@ def test_what_cannot_be_is_refused(contested: ppl.Posterior) -> None:
         of_another.do(strength_red=300.0)
 
 
-# --- who follows what is changed ------------------------------------------------------------------
-
-
 def test_helpers_follow_a_stated_goal_and_not_an_effective_one() -> None:
     own, helped, other = (
         ppl.GOALS.index(f"Get {goal} lm")
@@ -346,9 +343,6 @@ def seldom(world: ppl.World) -> None:
     numpyro.sample("goal_purple", dist.Categorical(probs=jnp.array(probs)))
     ppl.roles.company(world)
     ppl.roles.strengths(world)
-
-
-# --- another prior --------------------------------------------------------------------------------
 
 
 def test_a_table_under_another_prior_is_that_of_a_run_with_it() -> None:

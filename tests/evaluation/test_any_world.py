@@ -169,9 +169,6 @@ def test_a_lesion_of_simple_is_asked_about_any_world() -> None:
     assert found.predictions["solo"].probabilities["goal_red"].sum() == pytest.approx(1)
 
 
-# --- people ------------------------------------------------------------------------------------
-
-
 STUDY = f"""participant,video,goal_red,goal_green,goal_purple,relation_red_green,relation_red_purple
 p1,trio-1,{HOME},{HOME},{FIELD},friendly,neutral
 p2,trio-1,{HOME},get to red agent,{FIELD},friendly,friendly

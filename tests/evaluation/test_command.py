@@ -123,9 +123,6 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
     assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", str(EVENTS), str(OUT)}
 
 
-# --- several models ------------------------------------------------------------------------------
-
-
 def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
     capsys: Capture,
 ) -> None:

@@ -95,9 +95,6 @@ def row(rows: Sequence[Mapping[str, Any]], **wanted: Any) -> Mapping[str, Any]:
     return found
 
 
-# --- figures -----------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def three() -> ppl.ModelComparison:
     """Return a comparison of one that is right, with two that always say the same."""
@@ -200,9 +197,6 @@ def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     assert c.metrics["free"]["cpu_seconds"] is None
 
 
-# --- who is compared ---------------------------------------------------------------------------
-
-
 def test_evaluations_must_be_of_the_same_events() -> None:
     one, other = evaluation(of=EVENTS[:8]), evaluation("b", of=EVENTS[2:])
     with pytest.raises(InvalidEventError, match=r"different events: 6, such as 'event 0', are in"):
@@ -268,8 +262,6 @@ def test_models_in_the_events_are_compared_by_name() -> None:
     of = [dataclasses.replace(e, predictions={"people": STORED["theirs"]}) for e in EVENTS]
     assert compare(evaluation(of=of), stored="all").models == ["right", "people (stored)"]
 
-
-# --- kept, printed, drawn ----------------------------------------------------------------------
 
 NAMES = (
     *("simple", "last_frame", "a_lesion_of_simple_without_physics", "predicate"),

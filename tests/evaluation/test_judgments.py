@@ -173,9 +173,6 @@ def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None
         load_judgments(pd.read_csv(path), events)
 
 
-# --- files as other programs leave them, and graded answers ------------------------------------
-
-
 LEFT: dict[str, tuple[str, dict[str, Any], str]] = {
     "pandas, index": (",participant,video,relation\n0,p,a,friendly\n", {}, ""),
     "a further column": (
@@ -337,9 +334,6 @@ def test_graded_answers_are_kept_in_events_and_scored_as_shares(tmp_path: Path) 
     assert doubt["ceiling"]["one_out_r"] == pytest.approx(np.corrcoef(one + two, two + one)[0, 1])
 
 
-# --- studies and events ------------------------------------------------------------------------
-
-
 def test_events_get_the_judgments_of_the_study_alone_and_files_keep_them(tmp_path: Path) -> None:
     study = load_judgments(write(tmp_path, STUDY))
     before = [*EVENTS[:2], make_event("c", votes=[1, 2, 3])]
@@ -442,9 +436,6 @@ def test_examples_of_the_page_run_as_they_stand(
     assert len(names["events"][0].judgments["responses"]) == 2
     judgments = Judgments.from_record(json.loads(example("json")))
     assert set(judgments.responses) == {"p01", "p02"}
-
-
-# --- votes in event files ----------------------------------------------------------------------
 
 
 def test_votes_on_the_film_without_names_stand_beside_names_at_moments() -> None:

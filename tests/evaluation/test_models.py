@@ -56,9 +56,6 @@ def test_it_finds_61_percent_of_the_goals_of_the_real_videos() -> None:
     assert found["reference_models"]["simple_authors"]["goal_accuracy"]["value"] == 0.88
 
 
-# --- majority -----------------------------------------------------------------------------------
-
-
 def test_the_majority_is_the_same_of_every_event() -> None:
     found = ppl.evaluate(several(3), "majority", progress=False)
     for given in found.predictions.values():
@@ -79,9 +76,6 @@ def test_goals_are_as_frequent_as_their_types_in_the_original_events() -> None:
         assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
 
 
-# --- predicate inverse planning -------------------------------------------------------------------
-
-
 def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
     event = ppl.load_event("collaborate")
     given = ppl.evaluate(event, "predicate", workers=1).predictions[event.id]
@@ -89,9 +83,6 @@ def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
     assert set(given.probabilities) == set(given.answers)
     possible = np.array([not is_self_referring(goal, 0) for goal in range(N_GOALS)])
     assert np.array_equal(given.probabilities["goal_red"] > 0, possible)
-
-
-# --- models by name -------------------------------------------------------------------------------
 
 
 def make(answer: str = "friendly") -> Any:

@@ -103,8 +103,6 @@ def test_a_model_that_cannot_be_loaded_is_refused_and_a_thread_is_no_worker() ->
     assert found.predictions["still"].answers["relation"] == "friendly"
 
 
-# --- -9 and Ctrl-C -----------------------------------------------------------------------------
-
 # without a guard, so that a worker that imported it would start it again
 SCRIPT = """
     import sys, time

@@ -90,9 +90,6 @@ def test_bad_predictions_are_refused_with_event_and_model_and_so_are_bad_errors(
             Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors=errors)
 
 
-# --- published figures -------------------------------------------------------------------------
-
-
 @needs_dev
 def test_published_figures_of_the_authors_models() -> None:
     events = ppl.load_events(DEV)

@@ -77,8 +77,6 @@ def test_options_that_cannot_be_used_are_refused_before_anything_is_asked() -> N
             ready("simple", options)
 
 
-# --- lesions: each is SIMPLE with one thing changed ---------------------------------------------
-
 LESIONS = (
     *("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight"),
     "no_social_goals",

@@ -44,9 +44,6 @@ def trained(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-# --- those of the package ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_networks_come_with_the_package_and_how_they_were_made(variant: Any) -> None:
     found = shipped(variant)
@@ -100,9 +97,6 @@ def test_without_torch_the_model_and_the_training_name_the_extra(
     with pytest.raises(InvalidSettingError, match=r"PyTorch: pip install 'phase_ppl\[neural\]'"):
         ppl.train_socialgnn(data, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-# --- training ------------------------------------------------------------------------------------
 
 
 @needs_torch

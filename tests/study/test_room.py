@@ -159,9 +159,6 @@ def test_a_computer_sees_no_more_than_its_agent() -> None:
     np.testing.assert_array_equal(seen, one._picture().seen[1])
 
 
-# --- what is to be expected -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("size", "strength"), [(0.8, 300.0), (1.6, 150.0)])
 @pytest.mark.parametrize("resets", [True, False])
 def test_the_expected_steps_are_those_of_the_world(

@@ -148,9 +148,6 @@ def test_a_platforms_id_lets_in_once_and_its_address_to_return_to_holds_the_code
     assert b"5f0c-secret" not in everything
 
 
-# --- what is refused ------------------------------------------------------------------------------
-
-
 def test_other_origins_are_refused(person: Person) -> None:
     other = "http://evil.example", "null", "", "http://localhost.evil.example", "https://"
     person.client.cookies.clear()

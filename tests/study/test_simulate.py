@@ -116,9 +116,6 @@ def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
-# --- pairs ----------------------------------------------------------------------------------------
-
-
 def test_counterparts_are_of_the_same_scene_goals_and_strengths() -> None:
     played = [ppl.load_event("collaborate"), ppl.load_event("compete")]
     other = [dataclasses.replace(event, id=f"g-{event.id}") for event in reversed(played)]
@@ -144,9 +141,6 @@ def test_missing_counterparts_are_simulated_where_the_truth_is_known(tmp_path: P
     assert made.observation.n_frames == event.observation.n_frames
     with pytest.raises(InvalidEventError, match="does not say its goals and strengths"):
         Study.new(tmp_path / "study", [dataclasses.replace(event, truth=None)], "likeness")
-
-
-# --- the command ----------------------------------------------------------------------------------
 
 
 def test_without_the_extra_one_line_says_what_to_install(
