@@ -56,14 +56,12 @@ def run_of(kernel: str, iterations: int) -> Posterior:
 
 
 def means_of(data: Any) -> dict[str, float]:
-    """What ``az.summary`` says of all variables."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of what is certain, or of few draws
         return arviz.summary(data, round_to="none")["mean"].astype(float).to_dict()
 
 
 def agrees(post: Any) -> None:
-    """Check that ArviZ says of a posterior what it says itself."""
     data, means = post.arviz, means_of(post.arviz)
     counted = data.attrs["draws"].startswith("all of the chains")
     error = 0.0 if counted else 4 / np.sqrt(4000)  # of resampled draws, in their sd

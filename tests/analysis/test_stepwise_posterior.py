@@ -49,7 +49,6 @@ def post() -> StepwisePosterior:
 
 @pytest.fixture(scope="module")
 def single() -> StepwisePosterior:
-    """What one set of searches tells."""
     return StepwisePosterior(reading(planner_seeds=1))
 
 

@@ -72,12 +72,10 @@ def evaluation(
 
 
 def costing(predictions: Mapping[str, ppl.Prediction], **cost: float) -> dict[str, ppl.Prediction]:
-    """Return predictions that cost this."""
     return {i: dataclasses.replace(p, cost=cost) for i, p in predictions.items()}
 
 
 def kept(path: Path, found: ppl.Evaluation) -> Path:
-    """Write an evaluation into a folder."""
     folder = ResultsFolder.create(path, found.settings, found.events)
     for prediction in found.predictions.values():
         folder.add(prediction)
@@ -90,7 +88,6 @@ def compare(*models: Any, **more: Any) -> ppl.ModelComparison:
 
 
 def row(rows: Sequence[Mapping[str, Any]], **wanted: Any) -> Mapping[str, Any]:
-    """Return the only row with these entries."""
     (found,) = [r for r in rows if all(r[name] == value for name, value in wanted.items())]
     return found
 

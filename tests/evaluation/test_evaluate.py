@@ -45,7 +45,6 @@ WRONG = {"relation": "friendly"}
 
 
 def saying(given: Any) -> Any:
-    """Return a model that always answers this."""
     return lambda scene, observation, seed: given
 
 

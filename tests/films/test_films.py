@@ -27,7 +27,6 @@ STILL = {"fps": 4, "frames_per_step": 1}  # one frame of the film per frame of t
 
 
 def moving(scene: Scene, n_frames: int = 4) -> Event:
-    """Everybody drifts; agents turn."""
     steps = np.arange(n_frames)[:, None, None] * np.array([0.3, -0.2, 0.4])
     track = scene.start + steps
     track[:, len(scene.world.agents) :, 2] = 0.0
@@ -40,7 +39,6 @@ def film(event: Event, path: Path) -> Path:
 
 
 def encoded(path: Path, name: str, *options: str) -> Path:
-    """Return the film once more, otherwise encoded."""
     out = path.with_name(name)
     program = imageio_ffmpeg.get_ffmpeg_exe()
     subprocess.run([program, "-v", "error", "-i", path, *options, out], check=True)

@@ -43,7 +43,6 @@ def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:
 
 
 def answers(observer: observers.Program, given: Evidence, **parameters: float) -> np.ndarray:
-    """Return the shares of relations under fixed parameters."""
     fixed = handlers.substitute(observer, {k: jnp.array(v) for k, v in parameters.items()})
     said = handlers.seed(fixed, jax.random.key(0))(given)
     return np.exp(np.asarray(said["relation"], np.float64))

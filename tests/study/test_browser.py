@@ -114,7 +114,6 @@ class Window:
             self.faults.append(f"asked for {url}")
 
     def sees(self, heading: str) -> None:
-        """Wait for a page, whose heading has the focus."""
         self.page.get_by_role("heading", name=heading, exact=True, level=1).wait_for()
         assert self.page.evaluate("document.activeElement.tagName") == "H1"
         kind = re.sub(r"\d+", "", heading)
@@ -242,7 +241,6 @@ def opened(browser: Any) -> Iterator[Opened]:
 
 @pytest.fixture
 def made(tmp_path: Path, clips: Path) -> Callable[..., Study]:
-    """Make a study with its films."""
 
     def make(kind: str = "judgment", **given: Any) -> Study:
         study = make_study(tmp_path / "study", kind, filmed=True, **given)
@@ -564,7 +562,6 @@ class Beginner(Prepared):
         super().__init__(browser, study, address, script=_REMEMBERS_SOCKETS)
 
     def colours(self) -> int:
-        """How many colours the picture has."""
         script = """() => { const c = document.querySelector("canvas");
             const p = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height)
               .data.buffer); return new Set(p).size; }"""

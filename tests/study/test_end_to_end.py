@@ -32,7 +32,6 @@ class Patient(Room):
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of two sessions that two people played."""
     folder = tmp_path_factory.mktemp("played")
     start = [[14.5, 19.5, np.pi / 2], [17.5, 19.5, -np.pi / 2], [12, 7, 0], [20, 7, 0]]
     sizes = {"alike": [0.8] * 4, "larger": [1.2, 0.8, 0.8, 0.8]}

@@ -27,7 +27,6 @@ def _no_hurry() -> Iterator[None]:
 
 
 def come(study: Study, *people: dict[str, Any]) -> list[str]:
-    """Let people take part, each giving the same answers throughout; return their ids."""
     found = []
     with serving(study) as client:
         for given in people:
@@ -84,7 +83,6 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 @pytest.fixture(scope="module")
 def out(judged: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its export."""
     return judged.export(tmp_path_factory.mktemp("export") / "out")
 
 

@@ -42,7 +42,6 @@ def connected(client: TestClient, seat: int = 0) -> Any:
 
 
 def until(socket: Any, kind: str, fits: Callable[[Message], bool] = lambda found: True) -> Message:
-    """Return the next message of a kind."""
     while True:
         found: Message = socket.receive_json()
         if found["t"] == kind and fits(found):

@@ -49,7 +49,6 @@ def _in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def made(tmp_path: Path) -> Made:
-    """Make a study of one scene, with settings."""
     return functools.partial(make_study, tmp_path / "study", [near_goals()])
 
 

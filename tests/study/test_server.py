@@ -32,7 +32,6 @@ def client(study: Study) -> Iterator[TestClient]:
 
 
 def with_settings(study: Study, **given: Any) -> Study:
-    """The study by other settings than those of its file."""
     changed = Study(study.folder)
     changed.settings = dataclasses.replace(study.settings, **given)
     return changed
@@ -40,7 +39,6 @@ def with_settings(study: Study, **given: Any) -> Study:
 
 @pytest.fixture
 def person(client: TestClient) -> Person:
-    """Somebody who has come in."""
     return Person(client)
 
 

@@ -53,7 +53,6 @@ Create = Callable[[str, list[Stimulus]], Store]
 
 @pytest.fixture
 def create(tmp_path: Path) -> Iterator[Create]:
-    """Make a database that is closed in the end."""
     with contextlib.ExitStack() as open_ones:
 
         def make(kind: str, stimuli: list[Stimulus]) -> Store:
