@@ -345,6 +345,9 @@ def seldom(world: ppl.World) -> None:
     ppl.roles.strengths(world)
 
 
+# --- another prior --------------------------------------------------------------------------------
+
+
 def test_a_table_under_another_prior_is_that_of_a_run_with_it() -> None:
     post = StepwisePosterior(reading())
     post.define("same", lambda h: h.goal_red == h.goal_green)

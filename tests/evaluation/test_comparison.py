@@ -298,7 +298,8 @@ def test_a_comparison_fits_a_terminal_is_saved_and_read_again(
     lines = str(crowd).splitlines()
     assert max(map(len, lines)) <= WIDTH == 100
     for words in ("right answers", "competing (2)", "r given truth", "equivalence with people",
-                  "more pairs", "CPU s/event", "people, majority"):  # fmt: skip
+                  "more pairs", "CPU s/event", "people, majority",
+                  "doubt about relations"):  # fmt: skip
         assert any(words in line for line in lines), words
     crowd.save(folder)
     again = ppl.ModelComparison.load(folder)
