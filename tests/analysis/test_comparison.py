@@ -208,9 +208,7 @@ def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() 
         made_up(two).ranks("p_goals")
 
 
-def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(
-    tmp_path: Path,
-) -> None:
+def test_lines_are_means_the_references_error_is_shaded(tmp_path: Path) -> None:
     c = made_up(FOUR, error=0.15)
     figure = plots.comparison(c, tmp_path / "c.png")
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")

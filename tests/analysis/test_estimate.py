@@ -161,9 +161,7 @@ def repetitions() -> Sequence[Posterior]:
 
 
 @pytest.mark.parametrize("name", STATISTICS)
-def test_errors_of_equal_draws_are_as_large_as_runs_differ(
-    repetitions: Sequence[Posterior], name: str
-) -> None:
+def test_errors_are_as_large_as_runs_differ(repetitions: Sequence[Posterior], name: str) -> None:
     answers = [STATISTICS[name](post.query(name)) for post in repetitions]
     assert 0.75 < error_over_spread(answers) < 1.75
 

@@ -90,9 +90,7 @@ def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
     assert post.query(f"I(goal_red; relation | {given})") == pytest.approx(0)
 
 
-def test_strengths_that_may_depend_on_goals_are_never_drawn(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_strengths_that_may_depend_on_goals_are_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     log_prior = BY_PAIRS["log_prior"].copy()
     log_prior[:, :, 1:, 0] -= 5.0  # who helps or hinders is strong
     dependent = reading(columns={"log_prior": log_prior})

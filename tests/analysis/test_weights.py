@@ -130,9 +130,7 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
     assert found == pytest.approx({BLUE_TO_RED: 0.22 / 0.3, PINK_TO_BLUE: 0.08 / 0.3})
 
 
-def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_pair_weighs_its_prior_and_mean_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.analysis.weights.FEWEST_OF_PAIR", 5)
     # A was drawn more often than B, and by proposals of other densities; its mean L is
     # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 2, as what was stopped or failed, the

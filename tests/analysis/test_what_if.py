@@ -118,9 +118,7 @@ def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: WhatIf) -> N
 
 
 @pytest.mark.parametrize(("n", "differing"), [(2, 1.0), (4, 0.5), (6, 1.0)])
-def test_chance_is_taken_for_a_change_in_one_case_of_twenty_at_most(
-    alone: WhatIf, n: int, differing: float
-) -> None:
+def test_chance_is_rarely_taken_for_a_change(alone: WhatIf, n: int, differing: float) -> None:
     """Of pairs that differ, either world is the better one as often as the other."""
     there = alone.poses[1, 0]
     away = np.repeat(there[:1], len(there), axis=0)
@@ -171,9 +169,7 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
         next(elsewhere)
 
 
-def test_what_was_read_step_by_step_goes_on_from_the_past_as_it_was_followed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_was_read_goes_on_from_the_past_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     likelihood = ppl.StepwiseLikelihood(tracking=Tracking(LEVELS, noise=0.02))
     settings = {"likelihood": likelihood.to_dict(), "model": {"planner": PLANNER.to_dict()}}
     followed: list[Any] = []

@@ -64,9 +64,7 @@ def always_home(scene: ppl.Scene, observation: Observation, seed: int) -> dict[s
     }
 
 
-def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
-    events: list[ppl.Event],
-) -> None:
+def test_goals_and_relations_are_scored_by_agent_and_pair(events: list[ppl.Event]) -> None:
     found = ppl.evaluate(events, always_home, **ONE_PROCESS)
     metrics = found.metrics
     agents, pairs = metrics["by_agent"], metrics["by_pair"]

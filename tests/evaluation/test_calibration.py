@@ -107,9 +107,7 @@ def test_a_wrong_noise_is_found(spread: float, verdict: str, sign: int) -> None:
     ("p", "wrong", "plausible"),
     [(0.99, 0, True), (0.99, 8, False), (1.0, 1, True), (0.8, 0, False)],
 )
-def test_scores_of_nearly_certain_answers_are_tested_too(
-    p: float, wrong: int, plausible: bool
-) -> None:
+def test_scores_of_nearly_sure_answers_are_tested(p: float, wrong: int, plausible: bool) -> None:
     """100 of 100 answers of probability 0.99 are right in every third study of calibration."""
     said = np.tile([p, 1 - p, 0.0], (100, 1))
     logs, right = log_probabilities(said), np.arange(100) >= wrong

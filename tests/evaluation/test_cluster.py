@@ -45,9 +45,7 @@ def same(one: ppl.Evaluation, other: ppl.Evaluation) -> None:
 
 
 @pytest.mark.slow
-def test_processes_of_a_machine_warm_up_in_turn_so_that_only_the_first_compiles(
-    tmp_path: Path,
-) -> None:
+def test_processes_of_a_machine_warm_up_in_turn(tmp_path: Path) -> None:
     with local_cluster() as (_, client):
         ppl.evaluate(EVENTS, Warms(tmp_path), executor=client.get_executor(), progress=False)
     notes = sorted(tmp_path.iterdir(), key=lambda file: int(file.name.split("-")[1]))

@@ -123,9 +123,7 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
     assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", str(EVENTS), str(OUT)}
 
 
-def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
-    capsys: Capture,
-) -> None:
+def test_each_model_has_a_folder_as_if_alone_and_they_are_compared(capsys: Capture) -> None:
     assert evaluate(EVENTS, *BOTH, "other=wrong", "--out", OUT, "--limit", 2) == 0
     printed = capsys.readouterr().out
     for words in ("2 models on 2 events", "right - other", f"Kept in {OUT}"):
@@ -171,9 +169,7 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) ->
         ("BOTH --out single", "holds an evaluation of one model"),
     ],
 )
-def test_what_is_wrong_is_found_before_a_model_is_asked_and_told_in_one_line(
-    arguments: str, message: str, capsys: Capture
-) -> None:
+def test_mistakes_are_told_before_any_model(arguments: str, message: str, capsys: Capture) -> None:
     if "single" in arguments:
         assert evaluate(EVENTS, "--model", "right", "--out", "single") == 0
         capsys.readouterr()

@@ -98,9 +98,7 @@ def three() -> ppl.ModelComparison:
     return compare(evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial"))
 
 
-def test_differences_are_of_every_pair_and_p_is_corrected_over_those_of_a_measure(
-    three: ppl.ModelComparison,
-) -> None:
+def test_differences_are_of_pairs_and_p_is_corrected(three: ppl.ModelComparison) -> None:
     for one, other, scenario, value, n in (
         ("right", "friend", None, 1 / 3, 12),  # all competing ones
         ("friend", "foe", None, 1 / 3, 12),
@@ -291,9 +289,7 @@ def crowd() -> ppl.ModelComparison:
     return many(of)
 
 
-def test_a_comparison_fits_a_terminal_is_saved_and_read_again(
-    crowd: ppl.ModelComparison, tmp_path: Path
-) -> None:
+def test_it_fits_a_terminal_and_is_read_again(crowd: ppl.ModelComparison, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     lines = str(crowd).splitlines()
     assert max(map(len, lines)) <= WIDTH == 100

@@ -353,9 +353,7 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
 # --- interrupted, kept and gone on with -----------------------------------------------------------
 
 
-def test_ctrl_c_keeps_what_was_done_also_just_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_keeps_all_that_was_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stops(*given: Any) -> Any:
         raise KeyboardInterrupt
 
@@ -436,9 +434,7 @@ def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path
         evaluate(out=tmp_path, resume=True)
 
 
-def test_while_nothing_is_finished_there_are_no_figures_and_settings_may_change(
-    tmp_path: Path,
-) -> None:
+def test_while_nothing_is_finished_settings_may_change(tmp_path: Path) -> None:
     with pytest.raises(
         AnswerError, match="failed at 4 of 4 events; event 'a': ValueError"
     ) as caught:

@@ -418,9 +418,7 @@ def test_shares_that_are_none_are_refused() -> None:
 PAGE = Path(__file__).parents[2] / "docs" / "judgments.md"
 
 
-def test_examples_of_the_page_run_as_they_stand(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def example(language: str) -> str:
         # the first; another one needs the public study's files
         block, *_ = re.findall(rf"```{language}\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)

@@ -451,9 +451,7 @@ def test_a_film_stops_and_sliders_are_moved_by_keys(opened: Opened, made: Any) -
 
 
 @needs_browser
-def test_a_film_that_cannot_be_shown_or_begin_and_a_small_screen_are_told_and_noted(
-    opened: Opened, made: Any
-) -> None:
+def test_no_film_and_a_small_screen_are_told_and_noted(opened: Opened, made: Any) -> None:
     window = opened(made(), size={"width": 390, "height": 844}, script=_REFUSES)
     window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
     window.agree()

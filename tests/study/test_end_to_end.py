@@ -46,9 +46,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out" / "sessions.json"
 
 
-def test_what_people_did_speaks_for_their_goals_and_for_the_rule_of_their_session(
-    sessions: Path,
-) -> None:
+def test_what_people_did_speaks_for_their_goals_and_their_rule(sessions: Path) -> None:
     planner = dataclasses.replace(QUICK, particles=10, simulations=40)
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=planner)
     evidence = {True: 0.0, False: 0.0}

@@ -36,9 +36,7 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
     return found
 
 
-def test_answers_of_sliders_and_stops_are_checked_and_how_sure_people_are_is_kept(
-    tmp_path: Path,
-) -> None:
+def test_sliders_and_stops_are_checked_and_confidence_is_kept(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", answers="sliders", moments=[0.5])
     sliders = {"friendly": 20, "neutral": 60, "adversarial": 0}
     right = {**JUDGED, "relation": sliders}
@@ -153,9 +151,7 @@ def test_exports_replace_exports_alone_and_tell_age_and_gender_only_where_asked(
         judged.export(tmp_path)
 
 
-def test_sliders_at_a_check_are_right_if_an_accepted_one_is_among_the_highest(
-    tmp_path: Path,
-) -> None:
+def test_sliders_at_a_check_are_right_if_an_accepted_one_is_highest(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", answers="sliders")
     study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
     tied = {"friendly": 50, "neutral": 0, "adversarial": 50}

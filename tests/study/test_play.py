@@ -191,9 +191,7 @@ def test_who_waits_in_vain_is_thanked(made: Made) -> None:
     assert recorded(study) == []
 
 
-def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
-    made: Made, tmp_path: Path
-) -> None:
+def test_when_a_player_leaves_the_other_is_told(made: Made, tmp_path: Path) -> None:
     study = made(hold=100, limit=2000, rejoin_within=0.3)
 
     def after_some_steps(message: Message) -> bool:
@@ -217,9 +215,7 @@ def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
     assert event.observation.n_frames == len(session["steps"]) + 1
 
 
-def test_a_player_who_comes_back_in_time_goes_on(
-    made: Made, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_comes_back_in_time_goes_on(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     study, outcome, is_back = made(hold=100, rejoin_within=30, limit=20), Room.outcome, False
     with serving(study) as client:
         # no way back takes longer than the session
@@ -409,9 +405,7 @@ def lobby(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     ],
 )
 @pytest.mark.usefixtures("in_a_moment")
-def test_messages_that_are_none_or_too_many_close_the_socket(
-    lobby: TestClient, said: list[str | bytes], code: int
-) -> None:
+def test_bad_messages_close_sockets(lobby: TestClient, said: list[str | bytes], code: int) -> None:
     assert closed_with(Player(lobby), *said) == code
 
 
@@ -437,9 +431,7 @@ def test_pages_from_elsewhere_other_names_and_strangers_get_no_socket(lobby: Tes
     assert closed_with(player, cookie=f"{player.cookie}x") == 4401
 
 
-def test_nobody_plays_before_the_introduction_or_answers_a_session_by_hand(
-    lobby: TestClient,
-) -> None:
+def test_nobody_plays_before_the_introduction_or_answers_by_hand(lobby: TestClient) -> None:
     player = Player(lobby)
     content = {"page": "session-1", "attempt": 1, "answers": {"outcome": "goals"}}
     assert player.post("/api/answer", content).status_code == 409

@@ -62,9 +62,7 @@ def newcomer(client: TestClient) -> Person:
     return Person(client, enter=False)
 
 
-def test_a_wrong_quiz_leads_back_to_the_introduction_and_the_last_one_ends_it(
-    study: Study, person: Person
-) -> None:
+def test_a_wrong_quiz_leads_back_and_the_last_one_ends_it(study: Study, person: Person) -> None:
     person.prepare(study, right=False)
     assert pages(person) == [("tutorial", 2), ("quiz", 2)]
     tutorial, asked = person.state()["pages"]
@@ -92,9 +90,7 @@ def test_nothing_comes_before_consent_or_without_it(person: Person) -> None:
     assert person.answer("device", {}).status_code == 409
 
 
-def test_who_comes_back_too_late_is_told_so(
-    prepared: Person, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_comes_back_late_is_told_so(prepared: Person, monkeypatch: pytest.MonkeyPatch) -> None:
     now = server.time.time()
     monkeypatch.setattr(server.time, "time", lambda: now + 60 * 121)
     # what was given before the network was lost is still kept
@@ -125,9 +121,7 @@ def test_a_closed_and_a_full_study_let_nobody_in_but_who_began_may_finish(
     assert (found["status"], found["outcome"], found["code"]) == ("over", "full", "")
 
 
-def test_a_platforms_id_lets_in_once_and_its_address_to_return_to_holds_the_code(
-    study: Study,
-) -> None:
+def test_a_platforms_id_lets_in_once_and_its_address_holds_the_code(study: Study) -> None:
     url = "https://platform.example/done?cc={code}"
     changed = with_settings(
         study, refuse_repeats="PROLIFIC_PID", return_url=url, demographics=False

@@ -51,9 +51,7 @@ def test_some_lapse_and_some_leave(
     assert said["answer"].nunique() > 3
 
 
-def test_sliders_and_stops_come_out_as_judgments_at_moments(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stops_come_out_as_judgments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A film of 0.75 s stops once, and is judged at its end as well."""
     monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
     asked = make_study(tmp_path / "study", answers="sliders", moments=[0.5, 2.0])
@@ -70,9 +68,7 @@ def test_sliders_and_stops_come_out_as_judgments_at_moments(
     assert found.metrics["moments"]["log_score"]["value"] < 0
 
 
-def test_a_rehearsal_stays_marked_in_all_that_is_made_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rehearsal_stays_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
     asked = make_study(tmp_path / "study", raters=4)
     out = tmp_path / "out"
@@ -178,9 +174,7 @@ def test_commands_make_look_at_and_export_a_study(
         assert said in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_and_a_host_without_name_are_told(
-    study: Study, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_port_that_is_taken_is_told(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         for options, said in (

@@ -122,9 +122,7 @@ def test_twenty_people_a_video_where_some_leave(create: Create, clock: Clock) ->
     assert seen.total() >= 990
 
 
-def test_a_person_sees_every_video_once_always_the_same_by_a_name_of_their_own(
-    store: Store,
-) -> None:
+def test_a_person_sees_every_video_once_by_a_name_of_their_own(store: Store) -> None:
     names = set()
     for _ in range(3):
         who = enter(store)
@@ -220,9 +218,7 @@ def test_answer_and_end_are_one_transaction(store: Store) -> None:
     assert store.participant(who).outcome == "finished"
 
 
-def test_first_answers_count_each_attempt_is_kept_and_age_and_gender_are_apart(
-    store: Store,
-) -> None:
+def test_first_answers_count_attempts_are_kept_age_and_gender_apart(store: Store) -> None:
     who, given = enter(store), [(1, "friendly"), (1, "neutral"), (2, "neutral")]
     new = [store.answer(who, "trial-1", attempt, {"relation": said}) for attempt, said in given]
     assert new == [True, False, True]
@@ -254,9 +250,7 @@ def test_withdrawal_leaves_nothing_in_the_files(store: Store) -> None:
     again.close()
 
 
-def test_every_commit_is_on_the_disk_for_the_owner_alone(
-    create: Create, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commits_are_on_the_owners_disk(create: Create, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(store_module, "sqlite3", sqlite3)  # that waits for the disk
     store = create("judgment", videos(1))
     enter(store)

@@ -53,9 +53,7 @@ def asked(world: ppl.World, **given: Any) -> list[dict[str, Any]]:
 
 
 @every_world
-def test_every_goal_that_an_agent_can_have_is_offered_once_and_so_are_all_that_are_its_own(
-    world: ppl.World,
-) -> None:
+def test_every_goal_that_an_agent_can_have_is_offered_once(world: ppl.World) -> None:
     questions = asked(world)
     assert [question["name"] for question in questions] == list(questions_of(world))
     for agent, question in enumerate(questions[: len(world.agents)]):
