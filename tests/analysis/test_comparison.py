@@ -18,7 +18,6 @@ from phase_ppl.analysis.comparison import (
     Comparison,
     accuracy,
     curve,
-    efficiency,
     marginals,
 )
 from phase_ppl.analysis.posterior import Posterior
@@ -54,16 +53,6 @@ def test_accuracy_is_against_reference_and_truth() -> None:
     assert found["map_goals"] == found["map_relation"] == 1
     assert accuracy(two_goals(2), reference, TRUTH)["map_goals"] == 0.5
     assert np.isnan(accuracy(two_goals(2), reference, None)["p_pair"])
-
-
-def test_efficiency_is_per_simulation() -> None:
-    post = Posterior(random_tree(1, n_chains=6, n_draws=40), "count")
-    found = efficiency(post)
-    assert found["simulations"] == 6 * 41
-    assert 0 < found["ess_per_simulation"] < 40 / 41 + 0.2
-    assert found["seconds"] == 12.5
-    assert 0 < found["moves"] <= found["acceptance"] < 1
-    assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
 
 
 def test_curve_is_what_a_shorter_run_would_have_said() -> None:

@@ -63,9 +63,6 @@ def test_stops_come_out_as_judgments(tmp_path: Path, monkeypatch: pytest.MonkeyP
     sliders = study.table[study.table["question"] == "relation"]
     assert sliders["rating"].between(0, 100).all()
     assert sliders["rating"].nunique() > 10
-    found = ppl.evaluate(events, "predicate", judgments=study, workers=1, progress=False)
-    assert found.metrics["moments"]["by_moment"][0]["n"] == 36
-    assert found.metrics["moments"]["log_score"]["value"] < 0
 
 
 def test_a_rehearsal_stays_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
