@@ -141,14 +141,6 @@ def test_a_site_of_the_users_own_can_be_asked_for() -> None:
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
 
 
-def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:
-    table = small.to_dataframe()
-    assert table["weight"].sum() == pytest.approx(1)
-    assert table["chain"].tolist() == [0, 0, 1, 1]
-    assert table["relation"].tolist() == ["friendly", "friendly", "adversarial", "neutral"]
-    assert table["alpha"].tolist()[1] == "(1, 0)"
-
-
 UNKNOWN: dict[str, Any] = {
     "goal_red": lambda post: post.marginal("goal_rde"),
     "friendly": lambda post: post.probability(relation="freindly"),
@@ -209,6 +201,8 @@ def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> Non
     post.define("gap", lambda h: h.strength_red / 2)  # it is replaced
     assert post.mean("gap") == pytest.approx(post.mean("strength_red") / 2)
     table = post.to_dataframe()
+    assert table["weight"].sum() == pytest.approx(1)
+    assert table["relation"].tolist() == ["friendly", "friendly", "adversarial", "neutral"]
     assert table["same_goal"].tolist() == [True, True, False, False]
     assert table["helpers"].tolist() == [0, 1, 0, 0]
     assert "same_goal" not in small.quantities

@@ -92,19 +92,6 @@ def test_a_model_that_fails_at_every_event_is_one_error_and_others_go_on(capsys:
     assert len(read("metrics.json", Path("two", "right"))["cost"]["events"]) == 3
 
 
-def test_ctrl_c_says_how_to_go_on_and_resume_does(capsys: Capture) -> None:
-    Path("stop").touch()
-    command = ("--model", "stops_once", "--out", OUT)
-    assert evaluate(EVENTS, *command) == 130
-    errors = capsys.readouterr().err
-    assert "0 of 3 events are finished" in errors
-    assert "--resume" in errors
-    assert evaluate(EVENTS, *command, "--resume") == 0
-    assert "already holds" in refused(capsys, *command)
-    error = refused(capsys, "--model", "right", "--out", OUT, "--resume")
-    assert error.endswith("with other settings: model is 'right', was 'stops_once'\n")
-
-
 def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Capture) -> None:
     folder = make_folder(OUT)
     folder.add(prediction("one"), with_posterior)
