@@ -38,6 +38,7 @@ from tests.study.players import (
 from tests.study.studies import serving, table
 
 Made = Callable[..., Study]
+QUICK = ppl.PlannerConfig(particles=6, simulations=8)
 
 
 @pytest.fixture(autouse=True)
@@ -129,6 +130,14 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     assert event.scene.resets_velocity
     assert event.observation.n_frames == 19
     assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
+    draws: Any = {"kernel": "prior_mh", "planner": QUICK, "chains": 2, "iterations": 2}
+    read, simulated = ppl.infer(event, model), ppl.infer(event, workers=1, progress=False, **draws)
+    for post in (read, simulated):  # by the rule of the session
+        assert post.settings["resets_velocity"] is post.scene.resets_velocity is True
+    # whoever drives from rest in each step goes no further than the strongest can
+    way = abs(simulated.replay()[:, :2, :2] - event.scene.start[:2, :2]).max()
+    assert way < 0.9 * event.observation.n_frames
     (row,) = table(tmp_path / "out" / "sessions.csv")
     assert (row["session"], row["scene"], row["outcome"]) == (event.id, "near", "time")
     agents = {of_kind(one.messages, "scene")[0]["agent"]: one.id for one in players}
