@@ -62,9 +62,7 @@ def read(name: str, folder: Path = OUT) -> Any:
     return json.loads((folder / name).read_text())
 
 
-def test_it_prints_a_table_and_writes_predictions_and_metrics(
-    capsys: Capture,
-) -> None:
+def test_it_prints_a_table_and_writes_predictions_and_metrics(capsys: Capture) -> None:
     study = Path("people.csv")
     study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
     more = ("--option", "size=3", "--judgments", study, "--out", OUT, "--limit", 1)

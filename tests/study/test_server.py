@@ -108,9 +108,7 @@ def test_what_a_crash_left_undone_is_done_later(
     assert person.state()["outcome"] == "finished"
 
 
-def test_closed_studies_let_nobody_in_but_who_began_may_finish(
-    study: Study, prepared: Person
-) -> None:
+def test_who_began_may_finish_in_a_closed_study(study: Study, prepared: Person) -> None:
     with serving(with_settings(study, open=False)) as client:
         assert newcomer(client).state()["outcome"] == "closed"
         assert newcomer(client).enter().json()["outcome"] == "closed"
