@@ -426,10 +426,6 @@ def test_helpers_take_their_part_of_what_is_wanted() -> None:
     assert roles.goals["purple agent"] == "Get green agent to red agent"
     agents = trio.agents
     assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
-    goals = {"red agent": "get to pink ball", "green agent": "get to blue ball"}
-    roles = Hypothesis.of(trio, goals, {("purple agent", "red agent"): "hinder"})
-    assert roles.relation_between("red agent", "purple agent") == "adversarial"
-    assert roles.relation_between("green agent", "purple agent") == "neutral"
     # where only green is a goal of touching, nobody has green's part of it
     with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
         Hypothesis.of(
