@@ -21,13 +21,7 @@ from phase_ppl.analysis.with_arviz import ess, resampled
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference import runs
 
-from .factory import (
-    BLUE_TO_RED,
-    PINK_TO_BLUE,
-    posterior_of,
-    random_tree,
-    with_log_weight,
-)
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, posterior_of, random_tree, with_log_weight
 from .readings import reading
 
 with warnings.catch_warnings():

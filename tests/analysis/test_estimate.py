@@ -12,14 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from phase_ppl.analysis.estimate import (
-    Estimate,
-    Mode,
-    doubt,
-    leaving_out,
-    shares,
-    widened,
-)
+from phase_ppl.analysis.estimate import Estimate, Mode, doubt, leaving_out, shares, widened
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 

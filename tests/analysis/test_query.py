@@ -16,14 +16,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import QueryError
 
-from .factory import (
-    BLUE_TO_RED,
-    PINK_TO_BLUE,
-    TO_GREEN,
-    hypothesis,
-    posterior_of,
-    random_tree,
-)
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, TO_GREEN, hypothesis, posterior_of, random_tree
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,7 @@ from phase_ppl.evaluation.figures.frame import NothingToDrawError
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.table import kinds_of
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    PhasePPLError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.evaluation.judged import values

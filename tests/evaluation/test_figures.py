@@ -16,11 +16,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.experiments import LABELS, Likeness
 from phase_ppl.evaluation.figures.frame import NothingToDrawError
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.analysis.pages import texts_apart, texts_of
 
 from .small import events, make_folder

@@ -17,12 +17,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation.judgments import load_judgments, with_judgments
 from phase_ppl.evaluation.ratings import Judgments
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    PhasePPLError,
-    UnknownNameError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
     AWAY_FROM_RED,
@@ -164,12 +159,10 @@ def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path: Path) -> None:
 def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None:
     events = [make_event("aa"), make_event("b")]
     path = write(tmp_path, STUDY)
-    with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'; did you mean 'aa'"):
+    with pytest.raises(PhasePPLError, match="line 2: unknown video 'a'; did you mean 'aa'"):
         load_judgments(path, events)
     assert set(load_judgments(path).judgments) == {"a", "b"}
-    with pytest.raises(
-        UnknownNameError, match=r"^the table, line 2: .*give all events of the study"
-    ):
+    with pytest.raises(PhasePPLError, match=r"^the table, line 2: .*give all events of the study"):
         load_judgments(pd.read_csv(path), events)
 
 

@@ -20,10 +20,7 @@ from phase_ppl.evaluation.bootstrap import (
     weighted_mean,
 )
 from phase_ppl.evaluation.comparison import _tested
-from phase_ppl.evaluation.metrics import (
-    evaluate_predictions,
-    human_accuracy,
-)
+from phase_ppl.evaluation.metrics import evaluate_predictions, human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.event import Event

@@ -12,12 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.metrics import human_accuracy, metrics_of
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import PhasePPLError
-from tests.evaluation.judged import (
-    BLUE_TO_RED,
-    PINK_TO_BLUE,
-    make_event,
-    values,
-)
+from tests.evaluation.judged import BLUE_TO_RED, PINK_TO_BLUE, make_event, values
 from tests.world.examples import DEV, needs_dev
 
 SIMPLE = {

@@ -15,12 +15,7 @@ from numpyro import handlers
 import phase_ppl as ppl
 from phase_people import observers
 from phase_people.answers import FLOOR, PAIRS, evidence_of
-from phase_people.observers import (
-    Evidence,
-    Observer,
-    Perception,
-    observer_named,
-)
+from phase_people.observers import Evidence, Observer, Perception, observer_named
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation

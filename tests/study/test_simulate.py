@@ -20,12 +20,7 @@ pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-    UnknownNameError,
-)
+from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_study import study as study_module
 from phase_study.simulate import serving, simulate
 from phase_study.study import Study, counterparts
@@ -100,11 +95,11 @@ def test_a_rehearsal_stays_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> None:
-    with pytest.raises(InvalidSettingError, match="lapse=2, expected a share"):
+    with pytest.raises(PhasePPLError, match="lapse=2, expected a share"):
         simulate(study, tmp_path / "out", 1, lapse=2)
-    with pytest.raises(InvalidSettingError, match="people=0"):
+    with pytest.raises(PhasePPLError, match="people=0"):
         simulate(study, tmp_path / "out", 0)
-    with pytest.raises(UnknownNameError, match="event in the predictions"):
+    with pytest.raises(PhasePPLError, match="event in the predictions"):
         simulate(study, tmp_path / "out", 1, predictions={})
     assert not (tmp_path / "out").exists()
 
