@@ -16,7 +16,11 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.experiments import LABELS, Likeness
 from phase_ppl.evaluation.figures.frame import NothingToDrawError
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+)
 from tests.analysis.pages import texts_apart, texts_of
 
 from .small import events, make_folder
@@ -55,7 +59,9 @@ def test_what_the_results_do_not_allow_is_not_drawn(tmp_path: Path) -> None:
     assert "competing" not in shown  # it would be the same again
 
 
-def test_accuracy_has_the_numbers_of_the_metrics(folder: Path, tmp_path: Path) -> None:
+def test_accuracy_has_the_numbers_of_the_metrics_and_is_written(
+    folder: Path, tmp_path: Path
+) -> None:
     target = tmp_path / "a figure.pdf"
     figure = ppl.figures.accuracy(folder, path=target)
     texts_apart(figure)
