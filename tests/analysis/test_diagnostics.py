@@ -230,6 +230,9 @@ def test_leaders_say_by_how_much_they_lead() -> None:
         assert not unsure.leaders()["goal_red"]["sure"], "0.6 of twenty draws, or one draw"
 
 
+# --- R-hat and effective sizes --------------------------------------------------------------------
+
+
 def test_halves_of_a_single_chain_are_compared() -> None:
     trend = np.arange(40.0)[None]
     assert r_hat(trend) > 1.5

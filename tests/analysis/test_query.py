@@ -93,6 +93,7 @@ WRONG = {
     "P(relation=friendly) x": (21, "the end"),
     "P(relation=freindly)": (11, "did you mean 'friendly'"),
     "P(relatoin=friendly)": (2, "unknown quantity 'relatoin'; allowed: goal_red, "),
+    "P(relation~friendly)": (10, "',' or '|' or ')'"),
     "P(relation=friendly, goal_red)": (29, "=, !=, <"),
     "P(goal_red, relation=friendly)": (20, "names only or conditions only"),
     "P(goal_red, goal_red)": (12, "named twice"),

@@ -158,6 +158,13 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
         next(elsewhere)
 
 
+def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior) -> None:
+    nothing = contested.do(strength_red=300.0, n=2, workers=1, seconds=0.5)
+    np.testing.assert_array_equal(nothing.poses[0], nothing.poses[1])
+    assert nothing.difference("red") == 0
+    assert "no difference" in told(nothing)
+
+
 def test_what_was_read_goes_on_from_the_past_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     likelihood = ppl.StepwiseLikelihood(tracking=Tracking(LEVELS, noise=0.02))
     settings = {"likelihood": likelihood.to_dict(), "model": {"planner": PLANNER.to_dict()}}

@@ -62,7 +62,9 @@ def read(name: str, folder: Path = OUT) -> Any:
     return json.loads((folder / name).read_text())
 
 
-def test_it_prints_a_table_and_writes_predictions_and_metrics(capsys: Capture) -> None:
+def test_it_prints_a_table_and_writes_predictions_and_metrics(
+    capsys: Capture,
+) -> None:
     study = Path("people.csv")
     study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
     more = ("--option", "size=3", "--judgments", study, "--out", OUT, "--limit", 1)
@@ -90,6 +92,19 @@ def test_a_model_that_fails_at_every_event_is_one_error_and_others_go_on(capsys:
     assert len(read("metrics.json", Path("two", "right"))["cost"]["events"]) == 3
 
 
+def test_ctrl_c_says_how_to_go_on_and_resume_does(capsys: Capture) -> None:
+    Path("stop").touch()
+    command = ("--model", "stops_once", "--out", OUT)
+    assert evaluate(EVENTS, *command) == 130
+    errors = capsys.readouterr().err
+    assert "0 of 3 events are finished" in errors
+    assert "--resume" in errors
+    assert evaluate(EVENTS, *command, "--resume") == 0
+    assert "already holds" in refused(capsys, *command)
+    error = refused(capsys, "--model", "right", "--out", OUT, "--resume")
+    assert error.endswith("with other settings: model is 'right', was 'stops_once'\n")
+
+
 def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Capture) -> None:
     folder = make_folder(OUT)
     folder.add(prediction("one"), with_posterior)
@@ -108,7 +123,12 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
     assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", str(EVENTS), str(OUT)}
 
 
-def test_each_model_has_a_folder_as_if_alone_and_they_are_compared(capsys: Capture) -> None:
+# --- several models ------------------------------------------------------------------------------
+
+
+def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
+    capsys: Capture,
+) -> None:
     assert evaluate(EVENTS, *BOTH, "other=wrong", "--out", OUT, "--limit", 2) == 0
     printed = capsys.readouterr().out
     for words in ("2 models on 2 events", "right - other", f"Kept in {OUT}"):
@@ -154,7 +174,9 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) ->
         ("BOTH --out single", "holds an evaluation of one model"),
     ],
 )
-def test_mistakes_are_told_before_any_model(arguments: str, message: str, capsys: Capture) -> None:
+def test_what_is_wrong_is_found_before_a_model_is_asked_and_told_in_one_line(
+    arguments: str, message: str, capsys: Capture
+) -> None:
     if "single" in arguments:
         assert evaluate(EVENTS, "--model", "right", "--out", "single") == 0
         capsys.readouterr()
