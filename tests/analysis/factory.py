@@ -175,7 +175,6 @@ def with_variables(tree: xr.DataTree, group: str, **variables: Any) -> xr.DataTr
 
 
 def with_log_weight(tree: xr.DataTree, log_weight: Any) -> xr.DataTree:
-    """Return the tree with log weights (chain, draw) of its draws."""
     return with_variables(tree, "sample_stats", log_weight=(("chain", "draw"), log_weight))
 
 
@@ -245,7 +244,6 @@ def random_tree(
 
 
 def tree_by_frame(seed: int = 0) -> xr.DataTree:
-    """Return a random tree with a likelihood for each frame, which add up."""
     tree = random_tree(seed)
     rng = np.random.default_rng(seed)
     table = tree["simulations"].dataset.to_dataframe()

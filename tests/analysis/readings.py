@@ -114,8 +114,6 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
     )
 
 
-# --- of another world -----------------------------------------------------------------------------
-
 CAST = ppl.World(
     ["red agent", "green agent", "purple agent"],
     ["blue ball"],

@@ -18,7 +18,6 @@ from phase_ppl.analysis.comparison import (
     Comparison,
     accuracy,
     curve,
-    efficiency,
     marginals,
 )
 from phase_ppl.analysis.posterior import Posterior
@@ -56,16 +55,6 @@ def test_accuracy_is_against_reference_and_truth() -> None:
     assert np.isnan(accuracy(two_goals(2), reference, None)["p_pair"])
 
 
-def test_efficiency_is_per_simulation() -> None:
-    post = Posterior(random_tree(1, n_chains=6, n_draws=40), "count")
-    found = efficiency(post)
-    assert found["simulations"] == 6 * 41
-    assert 0 < found["ess_per_simulation"] < 40 / 41 + 0.2
-    assert found["seconds"] == 12.5
-    assert 0 < found["moves"] <= found["acceptance"] < 1
-    assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
-
-
 def test_curve_is_what_a_shorter_run_would_have_said() -> None:
     tree = random_tree(2, n_chains=3, n_draws=5)
     post, wanted = Posterior(tree), marginals(two_goals(5))
@@ -85,9 +74,6 @@ def test_curve_is_what_a_shorter_run_would_have_said() -> None:
     simulations = [Simulation(hypothesis(), i, iteration=i) for i in range(4)]
     found = curve(Posterior(make_tree(simulations, [[3]])), wanted, TRUTH)
     assert found["simulations"].tolist() == [4]
-
-
-# --- several runs ------------------------------------------------------------------------------
 
 
 def made_up(
@@ -174,9 +160,6 @@ def test_damaged_file_is_refused(tmp_path: Path) -> None:
             Comparison.load(path)
 
 
-# --- ranks ---------------------------------------------------------------------------------------
-
-
 def places(c: Comparison) -> dict[str, tuple[int, int]]:
     ranks = c.ranks("tv_goals")
     return dict(zip(ranks.index, zip(ranks["best"], ranks["worst"], strict=True), strict=True))
@@ -214,12 +197,7 @@ def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() 
         made_up(two).ranks("p_goals")
 
 
-# --- the figure --------------------------------------------------------------------------------
-
-
-def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(
-    tmp_path: Path,
-) -> None:
+def test_lines_are_means_the_references_error_is_shaded(tmp_path: Path) -> None:
     c = made_up(FOUR, error=0.15)
     figure = plots.comparison(c, tmp_path / "c.png")
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")

@@ -12,14 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from phase_ppl.analysis.estimate import (
-    Estimate,
-    Mode,
-    doubt,
-    leaving_out,
-    shares,
-    widened,
-)
+from phase_ppl.analysis.estimate import Estimate, Mode, doubt, leaving_out, shares, widened
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 
@@ -127,8 +120,6 @@ def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() ->
     assert leads.error == pytest.approx(max(by_chains, by_draws))
 
 
-# --- errors against repetitions -----------------------------------------------------------------
-
 STATISTICS: dict[str, Callable[[Any], Any]] = {
     "P(relation=friendly)": lambda found: found,
     f"P(strength_red in [0, 350] | goal_red={GOALS[5]})": lambda found: found,
@@ -163,9 +154,7 @@ def repetitions() -> Sequence[Posterior]:
 
 
 @pytest.mark.parametrize("name", STATISTICS)
-def test_errors_of_equal_draws_are_as_large_as_runs_differ(
-    repetitions: Sequence[Posterior], name: str
-) -> None:
+def test_errors_are_as_large_as_runs_differ(repetitions: Sequence[Posterior], name: str) -> None:
     answers = [STATISTICS[name](post.query(name)) for post in repetitions]
     assert 0.75 < error_over_spread(answers) < 1.75
 

@@ -47,8 +47,6 @@ def test_no_text_leaves_the_page_or_covers_another() -> None:
     assert texts_apart(plots.posterior(post)) > 50
 
 
-# --- beliefs ---------------------------------------------------------------------------
-
 EVENT = ppl.load_event("collaborate")
 
 
@@ -90,9 +88,6 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     for event, options, said in cases:
         with pytest.raises((InvalidSettingError, UnknownNameError), match=said):
             ppl.plot.beliefs(event, **options)
-
-
-# --- how chains went ------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -139,9 +134,6 @@ def test_windows_are_shaded_where_proposals_came_from() -> None:
     shaded = image(plots.errors(Posterior(tree)).axes[0])[0]
     np.testing.assert_allclose(shaded * 3, [1, 1, 0, 2, 2, 0])
     assert not plots.errors(posterior_of([hypothesis()], [[0, 0]])).axes[0].images
-
-
-# --- what a notebook shows ------------------------------------------------------------------------
 
 
 def test_events_and_scenes_are_drawn() -> None:

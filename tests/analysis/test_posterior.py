@@ -141,23 +141,11 @@ def test_a_site_of_the_users_own_can_be_asked_for() -> None:
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
 
 
-def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:
-    table = small.to_dataframe()
-    assert table["weight"].sum() == pytest.approx(1)
-    assert table["chain"].tolist() == [0, 0, 1, 1]
-    assert table["relation"].tolist() == ["friendly", "friendly", "adversarial", "neutral"]
-    assert table["alpha"].tolist()[1] == "(1, 0)"
-
-
 UNKNOWN: dict[str, Any] = {
     "goal_red": lambda post: post.marginal("goal_rde"),
-    "relation": lambda post: post.joint("goal_red", "relations"),
     "friendly": lambda post: post.probability(relation="freindly"),
     BLUE_TO_RED: lambda post: post.probability(goal_red="Get blue item to redd lm"),
-    "scenario": lambda post: post.probability(relation="neutral", given={"scenari": "x"}),
     r"\(1, 0\)": lambda post: post.probability(alpha=(1, 1)),
-    "strength_red": lambda post: post.hdi("strength_rad"),
-    "goal_green": lambda post: post.top("gaol_green"),
 }
 TO_RED_AT_ALL, IN_A_GAP = {"goal_red": TO_RED}, {"strength_red": (500, 550)}
 IMPOSSIBLE: dict[str, Any] = {
@@ -181,9 +169,6 @@ def test_questions_without_an_answer_raise_and_say_why(small: Posterior) -> None
                 ask(small)
 
 
-# --- parts of goals ------------------------------------------------------------------------------
-
-
 def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign() -> None:
     for goal, kinds, target, landmark, sign in (
         (BLUE_TO_RED, "item item", "blue item", "red lm", "to"),
@@ -197,9 +182,6 @@ def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign() -> No
             kind += "-other" if landmark == "none" else "-landmark"
             of = {part: labels[codes[f"{part}_{agent}"][0]] for part, labels in GOAL_PARTS.items()}
             assert of == {"goal_kind": kind, "target": target, "landmark": landmark, "sign": sign}
-
-
-# --- quantities of one's own ---------------------------------------------------------------------
 
 
 def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> None:
@@ -219,6 +201,8 @@ def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> Non
     post.define("gap", lambda h: h.strength_red / 2)  # it is replaced
     assert post.mean("gap") == pytest.approx(post.mean("strength_red") / 2)
     table = post.to_dataframe()
+    assert table["weight"].sum() == pytest.approx(1)
+    assert table["relation"].tolist() == ["friendly", "friendly", "adversarial", "neutral"]
     assert table["same_goal"].tolist() == [True, True, False, False]
     assert table["helpers"].tolist() == [0, 1, 0, 0]
     assert "same_goal" not in small.quantities
@@ -247,8 +231,6 @@ def test_definitions_that_cannot_be_raise_and_name_the_hypothesis(small: Posteri
             small.define(name, function)
     assert "x" not in small.quantities
 
-
-# --- in short -------------------------------------------------------------------------------------
 
 KEYS = ["goals", "relation", "scenario", "strengths", "errors", "map", "diagnostics", "settings"]
 KEYS += ["cost"]

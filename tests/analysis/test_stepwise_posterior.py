@@ -49,7 +49,6 @@ def post() -> StepwisePosterior:
 
 @pytest.fixture(scope="module")
 def single() -> StepwisePosterior:
-    """What one set of searches tells."""
     return StepwisePosterior(reading(planner_seeds=1))
 
 
@@ -91,9 +90,7 @@ def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
     assert post.query(f"I(goal_red; relation | {given})") == pytest.approx(0)
 
 
-def test_strengths_that_may_depend_on_goals_are_never_drawn(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_strengths_that_may_depend_on_goals_are_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     log_prior = BY_PAIRS["log_prior"].copy()
     log_prior[:, :, 1:, 0] -= 5.0  # who helps or hinders is strong
     dependent = reading(columns={"log_prior": log_prior})
@@ -251,12 +248,6 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
             ppl.load_posterior(tmp_path / "edited.nc")
     with pytest.raises(InvalidSettingError, match="no draws"):
         ppl.load_posterior(file, "count")
-    content = bytearray(file.read_bytes())
-    middle = slice(len(content) // 3, 2 * len(content) // 3)
-    content[middle] = bytes(len(content[middle]))
-    file.write_bytes(content)
-    with pytest.raises(InvalidEventError):
-        ppl.load_posterior(file)
 
 
 def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
@@ -433,10 +424,6 @@ def test_helpers_take_their_part_of_what_is_wanted() -> None:
     assert roles.goals["purple agent"] == "Get green agent to red agent"
     agents = trio.agents
     assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
-    goals = {"red agent": "get to pink ball", "green agent": "get to blue ball"}
-    roles = Hypothesis.of(trio, goals, {("purple agent", "red agent"): "hinder"})
-    assert roles.relation_between("red agent", "purple agent") == "adversarial"
-    assert roles.relation_between("green agent", "purple agent") == "neutral"
     # where only green is a goal of touching, nobody has green's part of it
     with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
         Hypothesis.of(

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -63,18 +62,8 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
 
 
-def _flipped(path: Path) -> None:
-    with h5py.File(path) as file:
-        offset = file["simulated/trajectory"].id.get_chunk_info(0).byte_offset
-    content = bytearray(path.read_bytes())
-    content[offset + 5] ^= 0xFF
-    path.write_bytes(content)
-
-
 FOREIGN = xr.Dataset({"temperature": ("city", [1.0])})
 DAMAGES: dict[str, Callable[[Path], object]] = {
-    "truncated": lambda path: path.write_bytes(path.read_bytes()[:5000]),
-    "flipped": _flipped,
     "empty": lambda path: path.write_bytes(b""),
     "text": lambda path: path.write_text('{"goals": []}'),
     "pickle": lambda path: path.write_bytes(pickle.dumps({"goals": []})),

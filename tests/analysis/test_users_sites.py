@@ -146,7 +146,6 @@ def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwiseP
 
 
 def leaning(world: ppl.World) -> None:
-    """Strength depends on a further site."""
     strong = numpyro.sample("strong", dist.Bernoulli(0.3))
     ppl.roles.goals(world)
     ppl.roles.company(world)

@@ -11,7 +11,7 @@ import xarray as xr
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
-from phase_ppl.analysis.weights import log_sum_exp, normalised, truncated
+from phase_ppl.analysis.weights import truncated
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 
@@ -83,13 +83,6 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
         Posterior(tree, "stratifed")
 
 
-def test_weights_that_cannot_be_normalised_are_refused() -> None:
-    for bad in ([-math.inf], [math.nan, 0.0], []):
-        with pytest.raises(InvalidSettingError, match="cannot be weighted"):
-            normalised(np.array(bad))
-    assert log_sum_exp(np.array([])) == log_sum_exp(np.array([-math.inf] * 2)) == -math.inf
-
-
 EVEN = [(A, 0.5), (B, 0.5)]
 TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), iteration=1)]
 
@@ -137,9 +130,7 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
     assert found == pytest.approx({BLUE_TO_RED: 0.22 / 0.3, PINK_TO_BLUE: 0.08 / 0.3})
 
 
-def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_pair_weighs_its_prior_and_mean_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.analysis.weights.FEWEST_OF_PAIR", 5)
     # A was drawn more often than B, and by proposals of other densities; its mean L is
     # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 2, as what was stopped or failed, the
@@ -248,8 +239,6 @@ def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> 
     (check,) = (one for one in found["checks"] if one["name"] == "goals simulated")
     assert (check["state"], check["limit"]) == ("unknown", "0.95 or more")
 
-
-# --- over time: by hand, against the posterior, and what later frames can change ------------------
 
 FOLLOWED = ("goal_red", "goal_green", "relation", "scenario")
 

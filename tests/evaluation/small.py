@@ -70,5 +70,4 @@ def make_posterior(event_id: str, n_frames: int = 4) -> Posterior:
 
 
 def with_posterior(part: Path) -> None:
-    """Keep :func:`make_posterior` in the folder of the event "one"."""
     make_posterior("one").save(part / POSTERIOR)

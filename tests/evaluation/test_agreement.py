@@ -144,9 +144,6 @@ def test_people_themselves_agree_and_r_of_what_is_constant_is_none() -> None:
     assert flat["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
-# --- people with each other --------------------------------------------------------------------
-
-
 def split(votes: list[list[int]], chosen: Any = None, splits: int = 4000) -> float:
     """Return r of halves of votes (video, relation), or of people (who, video) with choices."""
     people = None

@@ -15,11 +15,7 @@ from phase_ppl.evaluation.figures.frame import NothingToDrawError
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.table import kinds_of
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    PhasePPLError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.evaluation.judged import values
@@ -64,9 +60,7 @@ def always_home(scene: ppl.Scene, observation: Observation, seed: int) -> dict[s
     }
 
 
-def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
-    events: list[ppl.Event],
-) -> None:
+def test_goals_and_relations_are_scored_by_agent_and_pair(events: list[ppl.Event]) -> None:
     found = ppl.evaluate(events, always_home, **ONE_PROCESS)
     metrics = found.metrics
     agents, pairs = metrics["by_agent"], metrics["by_pair"]
@@ -167,9 +161,6 @@ def test_a_lesion_of_simple_is_asked_about_any_world() -> None:
     quick = {"kernel": "prior_mh", "chains": 2, "iterations": 1}
     found = ppl.evaluate([event], "no_social_goals", **quick, **ONE_PROCESS)
     assert found.predictions["solo"].probabilities["goal_red"].sum() == pytest.approx(1)
-
-
-# --- people ------------------------------------------------------------------------------------
 
 
 STUDY = f"""participant,video,goal_red,goal_green,goal_purple,relation_red_green,relation_red_purple

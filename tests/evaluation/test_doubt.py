@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import phase_ppl as ppl
 from phase_ppl.evaluation import doubt as module
 from phase_ppl.evaluation.doubt import calibration, ceiling
 from phase_ppl.evaluation.metrics import evaluate_predictions
@@ -15,7 +14,6 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.table import Answers
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
-from tests.analysis.pages import texts_apart
 from tests.evaluation.judged import COLLABORATIVE, INDEPENDENT, make_event
 
 VOTES = [[9, 1, 0], [6, 3, 1], [8, 2, 0], [1, 8, 1], [0, 9, 1], [3, 6, 1]]
@@ -113,18 +111,3 @@ def test_people_with_names_are_resampled_as_wholes() -> None:
     of_few = doubt(shares, judged)["relation_r"]
     middle = (of_few["ci_low"] + of_few["ci_high"]) / 2
     assert middle == pytest.approx(of_few["value"], abs=0.07)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_models_are_shown_and_drawn_by_their_doubt(tmp_path: Any) -> None:
-    assert evaluate_predictions([make_event("e0")], predictions([[1, 0, 0]]))["doubt"] is None
-    made = {}
-    for name, shares in (("a", [0.5, 0.3, 0.2]), ("b", [0.2, 0.6, 0.2])):
-        said = {"relation": shares}
-        made[name] = ppl.evaluate(events(), lambda *_, said=said: said, workers=1, progress=False)
-    both = ppl.compare_models(made, resamples=50)
-    assert "doubt about relations" in str(both)
-    figure = ppl.figures.people(both, tmp_path / "people.png")
-    assert len(figure.axes) == 4
-    texts_apart(figure)
-    assert (tmp_path / "people.png").exists()

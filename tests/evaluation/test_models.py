@@ -56,9 +56,6 @@ def test_it_finds_61_percent_of_the_goals_of_the_real_videos() -> None:
     assert found["reference_models"]["simple_authors"]["goal_accuracy"]["value"] == 0.88
 
 
-# --- majority -----------------------------------------------------------------------------------
-
-
 def test_the_majority_is_the_same_of_every_event() -> None:
     found = ppl.evaluate(several(3), "majority", progress=False)
     for given in found.predictions.values():
@@ -79,9 +76,6 @@ def test_goals_are_as_frequent_as_their_types_in_the_original_events() -> None:
         assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
 
 
-# --- predicate inverse planning -------------------------------------------------------------------
-
-
 def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
     event = ppl.load_event("collaborate")
     given = ppl.evaluate(event, "predicate", workers=1).predictions[event.id]
@@ -91,21 +85,9 @@ def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
     assert np.array_equal(given.probabilities["goal_red"] > 0, possible)
 
 
-# --- models by name -------------------------------------------------------------------------------
-
-
 def make(answer: str = "friendly") -> Any:
     """Say one thing."""
     return lambda scene, observation, seed: {"relation": answer}
-
-
-@pytest.mark.usefixtures("own_models")
-def test_a_registered_model_is_made_with_its_options_and_asked_by_name() -> None:
-    ppl.register_model("one_thing")(make)
-    found = ppl.evaluate(still(), "one_thing", workers=1, answer="adversarial")
-    assert found.predictions["still"].answers == {"relation": "adversarial"}
-    assert found.settings["model"] == "one_thing"
-    assert found.settings["options"] == {"answer": "adversarial"}
 
 
 @pytest.mark.usefixtures("own_models")
@@ -118,17 +100,13 @@ def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
         ready("heavy", {})
 
 
-@pytest.mark.parametrize(
-    ("model", "options", "error", "message"),
-    [
-        (3, {}, InvalidSettingError, "neither a name"),
-        ("last_frame", {"planner": "fast"}, InvalidSettingError, r"'last_frame'.*planner"),
-        ("predicate", {"planner": "fast"}, InvalidSettingError, "planner is no.*rationality"),
-        ("predicate", {"on_item": -1}, InvalidSettingError, "on_item=-1"),
-    ],
-)
-def test_what_is_no_model_and_no_option_is_refused(
-    model: Any, options: dict[str, Any], error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        ready(model, options)
+def test_what_is_no_model_and_no_option_is_refused() -> None:
+    cases: tuple[tuple[Any, dict[str, Any], str], ...] = (
+        (3, {}, "neither a name"),
+        ("last_frame", {"planner": "fast"}, r"'last_frame'.*planner"),
+        ("predicate", {"planner": "fast"}, "planner is no.*rationality"),
+        ("predicate", {"on_item": -1}, "on_item=-1"),
+    )
+    for model, options, message in cases:
+        with pytest.raises(InvalidSettingError, match=message):
+            ready(model, options)

@@ -72,9 +72,7 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
     assert results[0] == results[1]
 
 
-def test_an_event_that_kills_its_process_is_tried_twice_and_takes_nothing_with_it(
-    tmp_path: Path,
-) -> None:
+def test_an_event_that_kills_its_process_is_tried_twice(tmp_path: Path) -> None:
     model = Counted(tmp_path / "calls", FailsAt(3, lambda: os._exit(1)))
     with pytest.raises(AnswerError, match="event 'still': its worker process died, in 2 of 2 runs"):
         evaluate(still(), model, workers=2)
@@ -103,8 +101,6 @@ def test_a_model_that_cannot_be_loaded_is_refused_and_a_thread_is_no_worker() ->
     assert found.predictions["still"].answers["relation"] == "friendly"
 
 
-# --- -9 and Ctrl-C -----------------------------------------------------------------------------
-
 # without a guard, so that a worker that imported it would start it again
 SCRIPT = """
     import sys, time
@@ -128,9 +124,7 @@ SCRIPT = """
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
-def test_a_script_that_is_stopped_goes_on_without_repeating_what_is_finished(
-    tmp_path: Path,
-) -> None:
+def test_a_script_that_is_stopped_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
     """And leaves nothing behind."""
     model, out = Counted(tmp_path / "calls", guesses), tmp_path / "out"
 

@@ -81,9 +81,7 @@ def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None
 
 
 @pytest.mark.parametrize("which", ["evaluation", "comparison"])
-def test_a_page_is_whole_fetches_nothing_and_takes_no_html_from_files(
-    which: str, request: pytest.FixtureRequest
-) -> None:
+def test_pages_fetch_nothing_and_take_no_html(which: str, request: pytest.FixtureRequest) -> None:
     text = request.getfixturevalue(which).read_text("utf-8")
     page = Page(text)
     assert "<script>alert" not in text
@@ -113,9 +111,7 @@ def test_an_unfinished_evaluation_compares_what_is_finished(tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
-    tmp_path: Path,
-) -> None:
+def test_an_evaluation_without_truth_and_judgments_is_reported_too(tmp_path: Path) -> None:
     bare = events(truth=None, judgments=None, predictions=None)
     folder = make_folder(tmp_path / "results", bare, predicted=lambda _: False)
     page = Page(ppl.report(folder.path).read_text("utf-8"))

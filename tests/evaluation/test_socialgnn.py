@@ -16,7 +16,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.models.socialgnn import SocialGNNModel, socialgnn
+from phase_ppl.evaluation.models.socialgnn import socialgnn
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.models.socialgnn.graphs import VARIANTS
@@ -42,9 +42,6 @@ def trained(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("trained")
     ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, progress=False)
     return out
-
-
-# --- those of the package ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -102,9 +99,6 @@ def test_without_torch_the_model_and_the_training_name_the_extra(
     assert not (tmp_path / "out").exists()
 
 
-# --- training ------------------------------------------------------------------------------------
-
-
 @needs_torch
 def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None:
     report = json.loads((trained / "extended.json").read_text())
@@ -114,14 +108,6 @@ def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None
         assert {len(values) for values in member["curves"].values()} == {3}
         assert set(member["accuracy"]) == {"train", "validation", "test"}
     assert set(report["together"]["train"]["goal_accuracy"]) == {"value", "ci_low", "ci_high"}
-    found, event = load(trained), ppl.load_event("collaborate")
-    first, second = found.members
-    asked = [SocialGNNModel(found._replace(members=some)) for some in ((first,), (second,))]
-    asked.append(socialgnn(weights=trained))
-    one, other, both = (model(event.scene, event.observation, 0).probabilities for model in asked)
-    for question in ("goal_red", "goal_green", "relation"):
-        assert (one[question] != other[question]).any()
-        np.testing.assert_allclose(both[question], (one[question] + other[question]) / 2)
 
 
 @needs_torch

@@ -43,7 +43,6 @@ def wrong(scene: Scene, observation: Observation, seed: int) -> Mapping[str, Any
 
 
 def guesses(scene: Scene, observation: Observation, seed: int) -> Mapping[str, Any]:
-    """Answer at random."""
     rng = np.random.default_rng(seed)
     return {"goal_red": rng.dirichlet(np.ones(36)), "relation": rng.dirichlet(np.ones(3))}
 
@@ -83,12 +82,10 @@ EVENTS = several(4)
 
 
 def evaluate(events: Any = EVENTS, model: Any = right, **more: Any) -> ppl.Evaluation:
-    """Evaluate quietly in one process."""
     return ppl.evaluate(events, model, **{"workers": 1, "progress": False, **more})
 
 
 def changed(file: Path, **fields: Any) -> None:
-    """Change fields of a JSON file."""
     file.write_text(json.dumps({**json.loads(file.read_text()), **fields}))
 
 

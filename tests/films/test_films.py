@@ -27,7 +27,6 @@ STILL = {"fps": 4, "frames_per_step": 1}  # one frame of the film per frame of t
 
 
 def moving(scene: Scene, n_frames: int = 4) -> Event:
-    """Everybody drifts; agents turn."""
     steps = np.arange(n_frames)[:, None, None] * np.array([0.3, -0.2, 0.4])
     track = scene.start + steps
     track[:, len(scene.world.agents) :, 2] = 0.0
@@ -40,7 +39,6 @@ def film(event: Event, path: Path) -> Path:
 
 
 def encoded(path: Path, name: str, *options: str) -> Path:
-    """Return the film once more, otherwise encoded."""
     out = path.with_name(name)
     program = imageio_ffmpeg.get_ffmpeg_exe()
     subprocess.run([program, "-v", "error", "-i", path, *options, out], check=True)
@@ -61,9 +59,7 @@ def phase(tmp_path_factory: pytest.TempPathFactory) -> tuple[Event, Path]:
     return event, film(event, tmp_path_factory.mktemp("films") / "phase.mp4")
 
 
-def test_by_its_layout_alone_a_film_gives_back_scene_and_tracks(
-    phase: tuple[Event, Path], tmp_path: Path
-) -> None:
+def test_by_layout_a_film_gives_back_its_event(phase: tuple[Event, Path], tmp_path: Path) -> None:
     event, path = phase
     reading = ppl.read_video(path, layout="phase", progress=False)
     position, angle = off(reading, event)
@@ -98,9 +94,7 @@ def test_a_small_film_of_another_world_is_read_by_its_scene_or_its_world(tmp_pat
     assert off(by_world, event)[0] < 0.2
 
 
-def test_a_rate_that_is_rounded_takes_no_frame_for_the_one_before(
-    phase: tuple[Event, Path],
-) -> None:
+def test_a_rounded_rate_takes_no_frame_for_the_one_before(phase: tuple[Event, Path]) -> None:
     event, path = phase
     whole, rounded = (
         ppl.read_video(path, event.scene, frames_per_step=step, progress=False)
@@ -139,9 +133,7 @@ def test_bars_beside_it_and_a_still_beginning_are_left_out(phase: tuple[Event, P
     assert off(reading, event)[0] < 0.15
 
 
-def test_what_is_covered_is_interpolated_without_confidence_or_named_with_its_frames(
-    tmp_path: Path,
-) -> None:
+def test_what_is_covered_is_interpolated_or_named_with_its_frames(tmp_path: Path) -> None:
     # the blue item lies still; in frames 1 and 2 the green agent is above it
     scene = make_scene(radius=[0.8, 1.6, 0.5, 1.2])
     track = np.repeat(scene.start[None], 8, axis=0)

@@ -117,9 +117,6 @@ def test_an_answer_that_cannot_be_says_nothing_where_nobody_gave_it() -> None:
         never.attributed({"e0": "a2"})
 
 
-# --- priors over the closed loop: cheap models with real machinery --------------------------------
-
-
 Videos = tuple[list[ppl.Event], dict[str, StepwisePosterior]]
 
 

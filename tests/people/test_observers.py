@@ -15,12 +15,7 @@ from numpyro import handlers
 import phase_ppl as ppl
 from phase_people import observers
 from phase_people.answers import FLOOR, PAIRS, evidence_of
-from phase_people.observers import (
-    Evidence,
-    Observer,
-    Perception,
-    observer_named,
-)
+from phase_people.observers import Evidence, Observer, Perception, observer_named
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
@@ -43,7 +38,6 @@ def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:
 
 
 def answers(observer: observers.Program, given: Evidence, **parameters: float) -> np.ndarray:
-    """Return the shares of relations under fixed parameters."""
     fixed = handlers.substitute(observer, {k: jnp.array(v) for k, v in parameters.items()})
     said = handlers.seed(fixed, jax.random.key(0))(given)
     return np.exp(np.asarray(said["relation"], np.float64))

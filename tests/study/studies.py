@@ -81,7 +81,6 @@ def sure_of(study: Study) -> dict[str, Prediction]:
 
 
 def empty_clips(folder: Path, world: ppl.World = PHASE) -> None:
-    """Stand for the films of the introduction."""
     folder.mkdir()
     for name in clips_of(world):
         (folder / f"{name}.mp4").touch()
@@ -145,7 +144,6 @@ def change(folder: Path, **given: Any) -> Study:
 
 
 def table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file."""
     with open(path, encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -157,13 +155,10 @@ def rows(study: Study, query: str) -> list[dict[str, Any]]:
 
 
 def serving(study: Study, url: str = "") -> TestClient:
-    """Return the study's server, for a ``with``."""
     return TestClient(study.app(url), base_url=HOST)
 
 
 class Person:
-    """Somebody at a browser of their own."""
-
     def __init__(self, client: TestClient, enter: bool = True) -> None:
         self.client = client
         self.cookie = ""

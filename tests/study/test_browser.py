@@ -114,7 +114,6 @@ class Window:
             self.faults.append(f"asked for {url}")
 
     def sees(self, heading: str) -> None:
-        """Wait for a page, whose heading has the focus."""
         self.page.get_by_role("heading", name=heading, exact=True, level=1).wait_for()
         assert self.page.evaluate("document.activeElement.tagName") == "H1"
         kind = re.sub(r"\d+", "", heading)
@@ -242,7 +241,6 @@ def opened(browser: Any) -> Iterator[Opened]:
 
 @pytest.fixture
 def made(tmp_path: Path, clips: Path) -> Callable[..., Study]:
-    """Make a study with its films."""
 
     def make(kind: str = "judgment", **given: Any) -> Study:
         study = make_study(tmp_path / "study", kind, filmed=True, **given)
@@ -453,9 +451,7 @@ def test_a_film_stops_and_sliders_are_moved_by_keys(opened: Opened, made: Any) -
 
 
 @needs_browser
-def test_a_film_that_cannot_be_shown_or_begin_and_a_small_screen_are_told_and_noted(
-    opened: Opened, made: Any
-) -> None:
+def test_no_film_and_a_small_screen_are_told_and_noted(opened: Opened, made: Any) -> None:
     window = opened(made(), size={"width": 390, "height": 844}, script=_REFUSES)
     window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
     window.agree()
@@ -564,7 +560,6 @@ class Beginner(Prepared):
         super().__init__(browser, study, address, script=_REMEMBERS_SOCKETS)
 
     def colours(self) -> int:
-        """How many colours the picture has."""
         script = """() => { const c = document.querySelector("canvas");
             const p = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height)
               .data.buffer); return new Set(p).size; }"""

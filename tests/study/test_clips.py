@@ -18,7 +18,6 @@ TRACKS = {name: clip.trajectory(clip.scene()) for name, clip in CLIPS.items()}
 
 
 def way(name: str, entity: int) -> float:
-    """How far an entity gets."""
     return float(np.linalg.norm(np.diff(TRACKS[name][:, entity, :2], axis=0), axis=1).sum())
 
 

@@ -27,7 +27,6 @@ def _no_hurry() -> Iterator[None]:
 
 
 def come(study: Study, *people: dict[str, Any]) -> list[str]:
-    """Let people take part, each giving the same answers throughout; return their ids."""
     found = []
     with serving(study) as client:
         for given in people:
@@ -37,9 +36,7 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
     return found
 
 
-def test_answers_of_sliders_and_stops_are_checked_and_how_sure_people_are_is_kept(
-    tmp_path: Path,
-) -> None:
+def test_sliders_and_stops_are_checked_and_confidence_is_kept(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", answers="sliders", moments=[0.5])
     sliders = {"friendly": 20, "neutral": 60, "adversarial": 0}
     right = {**JUDGED, "relation": sliders}
@@ -84,7 +81,6 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 @pytest.fixture(scope="module")
 def out(judged: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its export."""
     return judged.export(tmp_path_factory.mktemp("export") / "out")
 
 
@@ -97,10 +93,12 @@ def test_judgments_are_read_and_joined_to_the_events(out: Path) -> None:
     assert all(len(event.judgments["responses"]) == 2 for event in with_people)
     metrics = ppl.evaluate(events, "majority", judgments=found).metrics
     assert metrics["people"]["by_participant"]["n_participants"] == 2
+    assert "scripted" not in metrics["people"]
 
 
 def test_the_readme_counts_everybody(judged: Study, out: Path) -> None:
     text = (out / "README.md").read_text("utf-8")
+    assert "rehearsal" not in text
     for line in ("entered | 7", "consented | 6", "declined | 1", "failed the quiz | 1",
                  "at it now | 1", "finished | 3", "withdrawn | 1", "excluded | 1",
                  "**in the tables** | 2"):  # fmt: skip
@@ -153,9 +151,7 @@ def test_exports_replace_exports_alone_and_tell_age_and_gender_only_where_asked(
         judged.export(tmp_path)
 
 
-def test_sliders_at_a_check_are_right_if_an_accepted_one_is_among_the_highest(
-    tmp_path: Path,
-) -> None:
+def test_sliders_at_a_check_are_right_if_an_accepted_one_is_highest(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", answers="sliders")
     study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
     tied = {"friendly": 50, "neutral": 0, "adversarial": 50}

@@ -42,7 +42,6 @@ def connected(client: TestClient, seat: int = 0) -> Any:
 
 
 def until(socket: Any, kind: str, fits: Callable[[Message], bool] = lambda found: True) -> Message:
-    """Return the next message of a kind."""
     while True:
         found: Message = socket.receive_json()
         if found["t"] == kind and fits(found):
@@ -55,9 +54,7 @@ def wishes(**changes: Any) -> Message:
     return {"t": "begin", "wishes": asked}
 
 
-def test_a_reading_is_that_of_the_saved_event_and_going_back_repeats_the_game(
-    tmp_path: Path,
-) -> None:
+def test_a_reading_is_that_of_the_saved_event_and_going_back_repeats_it(tmp_path: Path) -> None:
     with client_of(Live(near_goals().scene)) as client, connected(client) as socket:
         socket.send_json(wishes(partner="planner"))
         until(socket, "waiting")

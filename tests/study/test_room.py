@@ -159,14 +159,9 @@ def test_a_computer_sees_no_more_than_its_agent() -> None:
     np.testing.assert_array_equal(seen, one._picture().seen[1])
 
 
-# --- what is to be expected -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("size", "strength"), [(0.8, 300.0), (1.6, 150.0)])
 @pytest.mark.parametrize("resets", [True, False])
-def test_the_expected_steps_are_those_of_the_world(
-    size: float, strength: float, resets: bool
-) -> None:
+def test_expected_steps_are_those_of_the_world(size: float, strength: float, resets: bool) -> None:
     where = scene(red=(16.0, 4.5, 0.0), radius=[size, 0.8, 0.8, 0.8])
     world = PymunkWorld(settings(resets_velocity=resets).scene(where), (strength, 300.0))
     expected, steps = driving(size, strength, 2.0, resets), 0

@@ -32,7 +32,6 @@ def client(study: Study) -> Iterator[TestClient]:
 
 
 def with_settings(study: Study, **given: Any) -> Study:
-    """The study by other settings than those of its file."""
     changed = Study(study.folder)
     changed.settings = dataclasses.replace(study.settings, **given)
     return changed
@@ -40,7 +39,6 @@ def with_settings(study: Study, **given: Any) -> Study:
 
 @pytest.fixture
 def person(client: TestClient) -> Person:
-    """Somebody who has come in."""
     return Person(client)
 
 
@@ -64,45 +62,14 @@ def newcomer(client: TestClient) -> Person:
     return Person(client, enter=False)
 
 
-def test_from_consent_to_the_code(study: Study, client: TestClient) -> None:
-    person = newcomer(client)
-    assert person.state() == {"status": "new", "repeats": ""}
-    assert person.enter().json() == {"entered": True}
-    assert pages(person) == [("consent", 1)]
-    person.answer("consent", {"agree": True})
-    assert pages(person) == [("device", 1), ("tutorial", 1), ("quiz", 1)]
-    person.prepare(study)
-    assert pages(person) == [("trial-1", 1), ("trial-2", 1), ("person", 1)]
-    shown = person.state()["pages"]
-    assert [page["heading"] for page in shown[:2]] == ["Animation 1 of 2", "Animation 2 of 2"]
-    film = person.get(shown[0]["video"])
-    assert film.headers["content-type"] == "video/mp4"
-    assert film.content[4:8] == b"ftyp"
-    assert person.answer("trial-1", JUDGED).json()["next"] == "trial-2-1"
-    assert pages(person) == [("trial-2", 1), ("person", 1)]
-    person.answer("trial-2", JUDGED)
-    assert person.answer("person", {"age": None, "gender": ""}).json()["next"] is None
-    state = person.state()
-    assert (state["status"], state["outcome"]) == ("over", "finished")
-    assert state["code"] == study.settings.codes["finished"]
-    found = rows(study, "SELECT id FROM participant WHERE outcome='finished'")
-    assert found[-1]["id"] in state["html"]
-
-
-@pytest.mark.parametrize("right", [True, False])
-def test_a_wrong_quiz_leads_back_to_the_introduction_and_the_last_one_ends_it(
-    study: Study, person: Person, right: bool
-) -> None:
+def test_a_wrong_quiz_leads_back_and_the_last_one_ends_it(study: Study, person: Person) -> None:
     person.prepare(study, right=False)
     assert pages(person) == [("tutorial", 2), ("quiz", 2)]
     tutorial, asked = person.state()["pages"]
     assert "not right" in tutorial["html"]
     assert "answer" not in asked, "the right ones are not told"
     person.answer("tutorial", {"views": []}, 2)
-    person.answer("quiz", quiz(study, right), 2)
-    if right:
-        assert pages(person)[0] == ("trial-1", 1)
-        return
+    person.answer("quiz", quiz(study, right=False), 2)
     state = person.state()
     assert (state["status"], state["outcome"]) == ("over", "quiz_failed")
     assert state["code"] == study.settings.codes["quiz_failed"] != study.settings.codes["finished"]
@@ -123,19 +90,7 @@ def test_nothing_comes_before_consent_or_without_it(person: Person) -> None:
     assert person.answer("device", {}).status_code == 409
 
 
-def test_repeated_uploads_and_second_tabs_change_nothing(study: Study, prepared: Person) -> None:
-    assert prepared.answer("trial-1", JUDGED).json()["new"]
-    again = prepared.answer("trial-1", {**JUDGED, "relation": "friendly"}).json()
-    assert again == {"saved": True, "new": False, "next": "trial-2-1"}
-    who = prepared.state()["participant"]
-    query = f"SELECT answers FROM response WHERE participant='{who}' AND page='trial-1'"
-    (kept,) = rows(study, query)
-    assert "neutral" in kept["answers"]
-
-
-def test_who_comes_back_too_late_is_told_so(
-    prepared: Person, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_comes_back_late_is_told_so(prepared: Person, monkeypatch: pytest.MonkeyPatch) -> None:
     now = server.time.time()
     monkeypatch.setattr(server.time, "time", lambda: now + 60 * 121)
     # what was given before the network was lost is still kept
@@ -153,22 +108,15 @@ def test_what_a_crash_left_undone_is_done_later(
     assert person.state()["outcome"] == "finished"
 
 
-def test_a_closed_and_a_full_study_let_nobody_in_but_who_began_may_finish(
-    study: Study, prepared: Person
-) -> None:
+def test_who_began_may_finish_in_a_closed_study(study: Study, prepared: Person) -> None:
     with serving(with_settings(study, open=False)) as client:
         assert newcomer(client).state()["outcome"] == "closed"
         assert newcomer(client).enter().json()["outcome"] == "closed"
         prepared.client = client
         assert prepared.answer("trial-1", JUDGED).json()["saved"]
-    with serving(with_settings(study, most_entries=1)) as client:
-        found = newcomer(client).enter().json()
-    assert (found["status"], found["outcome"], found["code"]) == ("over", "full", "")
 
 
-def test_a_platforms_id_lets_in_once_and_its_address_to_return_to_holds_the_code(
-    study: Study,
-) -> None:
+def test_a_platforms_id_lets_in_once_and_its_address_holds_the_code(study: Study) -> None:
     url = "https://platform.example/done?cc={code}"
     changed = with_settings(
         study, refuse_repeats="PROLIFIC_PID", return_url=url, demographics=False
@@ -185,9 +133,6 @@ def test_a_platforms_id_lets_in_once_and_its_address_to_return_to_holds_the_code
     assert back.endswith(f"cc={changed.settings.codes['finished']}")
     everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
     assert b"5f0c-secret" not in everything
-
-
-# --- what is refused ------------------------------------------------------------------------------
 
 
 def test_other_origins_are_refused(person: Person) -> None:

@@ -103,9 +103,7 @@ def test_a_study_gets_a_folder_of_its_own(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_copies_in_a_generated_set_are_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_copies_in_a_set_are_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Generated(list[ppl.Event]):
         entries: ClassVar = [{"id": "collaborate", "group": "a"}, {"id": "compete", "group": "b"},
                              {"id": "independent", "group": "a"}]  # fmt: skip

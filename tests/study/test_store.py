@@ -53,7 +53,6 @@ Create = Callable[[str, list[Stimulus]], Store]
 
 @pytest.fixture
 def create(tmp_path: Path) -> Iterator[Create]:
-    """Make a database that is closed in the end."""
     with contextlib.ExitStack() as open_ones:
 
         def make(kind: str, stimuli: list[Stimulus]) -> Store:
@@ -123,9 +122,7 @@ def test_twenty_people_a_video_where_some_leave(create: Create, clock: Clock) ->
     assert seen.total() >= 990
 
 
-def test_a_person_sees_every_video_once_always_the_same_by_a_name_of_their_own(
-    store: Store,
-) -> None:
+def test_a_person_sees_every_video_once_by_a_name_of_their_own(store: Store) -> None:
     names = set()
     for _ in range(3):
         who = enter(store)
@@ -184,17 +181,6 @@ def test_the_study_is_full_once_enough_people_are_at_it(store: Store, clock: Clo
     enter(store, raters=3)
 
 
-def test_an_excluded_person_is_replaced(store: Store) -> None:
-    for _ in range(3):
-        who = enter(store, raters=1)
-        assigned(store, who)
-        store.end(who, "finished")
-    with pytest.raises(Refused, match="full"):
-        enter(store, raters=1)
-    store.exclude(who, "slept")
-    enter(store, raters=1)
-
-
 def test_videos_that_too_many_have_seen_take_no_places_from_others(store: Store) -> None:
     seen: dict[str, list[int]] = {}
     for _ in range(4):  # after three every video has been seen once
@@ -232,9 +218,7 @@ def test_answer_and_end_are_one_transaction(store: Store) -> None:
     assert store.participant(who).outcome == "finished"
 
 
-def test_first_answers_count_each_attempt_is_kept_and_age_and_gender_are_apart(
-    store: Store,
-) -> None:
+def test_first_answers_count_attempts_are_kept_age_and_gender_apart(store: Store) -> None:
     who, given = enter(store), [(1, "friendly"), (1, "neutral"), (2, "neutral")]
     new = [store.answer(who, "trial-1", attempt, {"relation": said}) for attempt, said in given]
     assert new == [True, False, True]
@@ -266,9 +250,7 @@ def test_withdrawal_leaves_nothing_in_the_files(store: Store) -> None:
     again.close()
 
 
-def test_every_commit_is_on_the_disk_for_the_owner_alone(
-    create: Create, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commits_are_on_the_owners_disk(create: Create, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(store_module, "sqlite3", sqlite3)  # that waits for the disk
     store = create("judgment", videos(1))
     enter(store)

@@ -47,18 +47,13 @@ def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
 
 
-# --- what is asked --------------------------------------------------------------------------------
-
-
 def asked(world: ppl.World, **given: Any) -> list[dict[str, Any]]:
     settings = Settings.parse('kind = "judgment"', world)
     return plan.questions(dataclasses.replace(settings, **given), "trial-1")
 
 
 @every_world
-def test_every_goal_that_an_agent_can_have_is_offered_once_and_so_are_all_that_are_its_own(
-    world: ppl.World,
-) -> None:
+def test_every_goal_that_an_agent_can_have_is_offered_once(world: ppl.World) -> None:
     questions = asked(world)
     assert [question["name"] for question in questions] == list(questions_of(world))
     for agent, question in enumerate(questions[: len(world.agents)]):
@@ -135,9 +130,6 @@ def test_the_template_is_of_the_world(world: ppl.World, kind: str) -> None:
         assert all(one.name in everything for one in world.predicates)
 
 
-# --- what is refused ------------------------------------------------------------------------------
-
-
 def test_what_cannot_be_studied_of_other_worlds_is_named(tmp_path: Path) -> None:
     folder, events = tmp_path / "study", still_events(SOLO)
     with pytest.raises(
@@ -147,9 +139,6 @@ def test_what_cannot_be_studied_of_other_worlds_is_named(tmp_path: Path) -> None
     with pytest.raises(InvalidSettingError, match="of the worlds 'solo', 'nursery', expected"):
         Study.new(folder, [*events, *still_events(NURSERY)])
     assert not folder.exists()
-
-
-# --- what comes out -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("world", [PHASE, SOLO, NURSERY], ids=lambda world: world.name)
