@@ -101,12 +101,6 @@ def test_beliefs_depend_on_the_unseen_truth_in_no_way() -> None:
     np.testing.assert_array_equal(hidden.bodies, other.bodies)
 
 
-def test_another_seed_gives_other_particles_and_the_same_seed_the_same() -> None:
-    first, again, other = (perceiving(seed=seed).beliefs.bodies for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
-
-
 def test_a_hand_that_closed_on_nothing_refutes_what_was_believed_in_its_reach() -> None:
     agent = perceiving()
     agent.beliefs.ever_seen[:] = False  # so that places behind the agent's back stay possible
