@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.physics import inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action
-from tests.closed_loop.test_hidden_state import CARRY, STRENGTHS, near_item, played
+from tests.closed_loop.test_hidden_state import CARRY, near_item, played
 
 RED, GREEN, BLUE = 0, 1, 2
 STILL = np.zeros(N_ACTIONS)
@@ -98,14 +97,3 @@ def test_whole_turns_that_a_tracker_adds_while_an_angle_is_unseen_do_not_matter(
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
     np.testing.assert_allclose(found[2], found[0], atol=1e-6)
     assert len(angles) == 1
-
-
-def test_kernels_compiled_for_whole_frames_read_those_with_gaps() -> None:
-    where = near_item()
-    hidden = HiddenState(where, Tracking(states=1))
-    frames = [frame for frame, _ in played(where, CARRY[:4], STRENGTHS)]
-    hidden.advance(frames[0])
-    kinds = len(inverse.try_all.overloads), len(inverse.follow.overloads)
-    for frame in hidden_from(frames[1:], slice(0, 3), 0, 2):
-        hidden.advance(frame)
-    assert (len(inverse.try_all.overloads), len(inverse.follow.overloads)) == kinds
