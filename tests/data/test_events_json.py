@@ -175,9 +175,6 @@ def test_what_no_file_can_say_is_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# --- the events that come with the package --------------------------------------------------------
-
-
 @pytest.fixture
 def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "events"

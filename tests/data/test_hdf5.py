@@ -73,9 +73,6 @@ def test_a_full_disk_ends_no_process_and_leaves_what_was_there(tmp_path: Path) -
     assert left == dict.fromkeys(names, "old")
 
 
-# --- files that somebody else made -------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Posterior(random_tree(1)).save(tmp_path_factory.mktemp("one") / "run.nc")

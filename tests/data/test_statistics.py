@@ -133,9 +133,6 @@ def test_the_card_draws_shares_beside_those_of_the_original_events(
     assert len(ppl.plot.data_card(statistics(without_truth)).axes) == 2
 
 
-# --- motion ------------------------------------------------------------------------------------
-
-
 def test_an_item_that_stays_at_a_grab_point_is_held() -> None:
     radius = np.array([0.8, 1.2, 1.01, 1.6])
     held = track(12, red=0.3)
@@ -152,9 +149,6 @@ def test_an_item_that_stays_at_a_grab_point_is_held() -> None:
     assert not seems_to_hold(held[:8], radius)[:, 0].any()
 
 
-# --- the original events -----------------------------------------------------------------------
-
-
 @needs_dev
 def test_half_of_the_test_videos_is_like_the_whole() -> None:
     found = statistics(ppl.load_events(DEV))
@@ -167,9 +161,6 @@ def test_half_of_the_test_videos_is_like_the_whole() -> None:
         assert value[of, "mean"] == pytest.approx(whole[of, "mean"], abs=0.04)
     assert 0.19 < value["agent_rests", "mean"] < 0.31
     assert value["frames", "median"] == pytest.approx(whole["frames", "median"], abs=5)
-
-
-# --- other worlds -------------------------------------------------------------------------------
 
 
 def test_a_set_of_another_world_is_described_by_its_own_names() -> None:

@@ -78,9 +78,6 @@ def _nothing_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     assert not is_sprung()
 
 
-# --- what is read ----------------------------------------------------------------------------
-
-
 def assert_read(content: bytes, value: Any) -> None:
     assert repr(unpickled(content)) == repr(value)  # which tells lists from tuples, and 1 from True
 
@@ -143,9 +140,6 @@ def test_pickles_of_python_2_are_read() -> None:
     # which wrote bytes as texts of 256 characters
     assert unpickled(b"S'\\xe9\xe9'\n.") == "éé"
     assert unpickled(b"U\x02\xe9\xff.") == "éÿ"
-
-
-# --- what asks for code, or describes what no array is ---------------------------------------
 
 
 class Own:
@@ -344,9 +338,6 @@ def test_too_much_and_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(authors, "MAX_BYTES", path.stat().st_size - 1)
     with pytest.raises(InvalidEventError, match="is larger than the"):
         read_pickle(path)
-
-
-# --- damage ----------------------------------------------------------------------------------
 
 
 def videos(protocol: int) -> bytes:

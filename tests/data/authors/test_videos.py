@@ -173,8 +173,6 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path) -> None:
             assert message in said
 
 
-# --- names ----------------------------------------------------------------------------------------
-
 TRUTH = Truth(
     "Get blue item to red lm", "get to red agent", strength_red=600.0, strength_green=150.0
 )
@@ -208,8 +206,6 @@ def test_numbers_of_a_goal_stand_for_a_string_of_the_paper() -> None:
     for (numbers, holder), string in GOAL_OF_NUMBERS.items():
         assert goal_string(numbers, holder) == string
 
-
-# --- angles of copies -----------------------------------------------------------------------------
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 TURN = 2 * np.pi

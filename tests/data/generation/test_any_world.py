@@ -168,9 +168,6 @@ def test_phase_is_a_world_like_any_other(tmp_path: Path) -> None:
     assert event.truth.goal_red == "Get red agent to red lm"
 
 
-# --- families -------------------------------------------------------------------------------------
-
-
 def relay(draw: Draw) -> Situation:
     """Two bring the blue ball home, one from home, one from beside it."""
     one, other, _ = draw.agents()
@@ -301,9 +298,6 @@ def test_what_a_family_cannot_draw_is_said(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="unknown variant 'help:LMA'; did you mean 'help'"):
         generate(tmp_path / "set", world=TRIO, cells={"help:LMA": 1}, **SMALL)
     assert not (tmp_path / "set").exists()
-
-
-# --- what is kept -------------------------------------------------------------------------------
 
 
 PAIRS = ("red & green", "red & purple", "green & purple")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.hypothesis import Hypothesis
-from tests.simulator.clusters import local_cluster, note, the_third_killed
+from tests.simulator.clusters import note
 
 SOLO = ppl.worlds.SOLO
 SET: dict[str, Any] = {
@@ -56,21 +55,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sets") / "whole"
     make(folder)
     return folder
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="kills a process")
-def test_a_killed_worker_changes_no_byte(tmp_path: Path, whole: Path) -> None:
-    notes = tmp_path / "notes"
-    notes.mkdir()
-    with local_cluster() as (_, client), the_third_killed(notes):
-        make(tmp_path / "set", roles=Homewards(notes), executor=client.get_executor())
-    made = ppl.GeneratedEvents(tmp_path / "set")
-    draws = len(made.manifest["given_up"]) * SET["max_tries"] + sum(
-        entry["attempt"] + 1 for entry in made.entries
-    )
-    assert len(list(notes.iterdir())) > draws  # those of the killed one were made again
-    assert contents(tmp_path / "set") == contents(whole)
 
 
 def test_an_executor_that_is_shut_down_leaves_what_another_can_finish(
