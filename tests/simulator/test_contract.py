@@ -52,6 +52,9 @@ BAD: list[tuple[Callable[..., Any], int, str]] = [
     (lambda *_: [START] * 3, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
     (lambda *_: [START, START * np.nan], 1,
      "SimulationError: frame 1 holds a value that is not finite"),
+    (lambda *_: [START + 1e300], 0, "SimulationError: frame 0 holds a value that is not finite"),
+    (lambda *_: [np.ma.masked_greater(START, 9.0)], 0,
+     "SimulationError: frame 0 holds .*, expected numbers"),
     (lambda *_: [START[:2]], 0,
      r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
     (raises(ZeroDivisionError("no way to divide")), 1,
@@ -81,9 +84,6 @@ class Watched:
                 yield frame
         finally:
             self.closed = True
-
-
-# --- comparing -------------------------------------------------------------------------------
 
 
 def test_the_error_of_a_frame_is_the_distance_over_all_four_entities() -> None:
@@ -131,9 +131,6 @@ def test_the_seed_any_whole_number_determines_a_simulation() -> None:
         assert simulate(toys.drift, seed=seed).completed
 
 
-# --- stopping --------------------------------------------------------------------------------
-
-
 def test_no_more_frames_are_taken_than_are_needed() -> None:
     watched = Watched()
     assert simulate(watched).completed
@@ -176,9 +173,6 @@ def test_cancelling_and_ctrl_c_close_the_simulation_after_its_next_frame(error: 
     assert (watched.taken, watched.closed) == (3, True)
 
 
-# --- failing ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("simulator", "frames", "failure"), BAD)
 def test_whatever_goes_wrong_is_a_failed_result_or_an_error_of_that_hypothesis_and_seed(
     simulator: Callable[..., Any], frames: int, failure: str
@@ -194,9 +188,6 @@ def test_whatever_goes_wrong_is_a_failed_result_or_an_error_of_that_hypothesis_a
     with pytest.raises(SimulationError, match=failure) as raised:
         simulate_trajectory(simulator, SCENE, WEAK, 9, N_FRAMES)
     assert f"[{WEAK}] with seed 9" in str(raised.value)
-
-
-# --- in batches ------------------------------------------------------------------------------
 
 
 def test_a_batch_gives_what_its_simulations_give_one_by_one() -> None:

@@ -17,7 +17,6 @@ from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 QUICK = ppl.PlannerConfig(simulations=150)
 RED_LANDMARK = scene().landmark_centres[2], scene().landmark_half_width
 GO = ppl.Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
-CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
 
 
 def frames(where: ppl.Scene, hypothesis: ppl.Hypothesis, n: int, seed: int = 0) -> np.ndarray:
@@ -37,13 +36,6 @@ def test_an_agent_reaches_its_landmark_and_stops_there() -> None:
     path = frames(where, GO, 40)
     assert is_on(path[-1, 0, :2], *RED_LANDMARK)
     assert np.abs(np.diff(path[-5:, 0, :2], axis=0)).max() < 0.3
-
-
-def test_an_agent_carries_an_item_to_its_landmark() -> None:
-    where = scene(red=(18.0, 8.0, math.pi), blue=(18.0, 5.0), green=(23.5, 19.0, 0.0))
-    path = frames(where, CARRY, 60)
-    assert not is_on(path[0, 2, :2], *RED_LANDMARK)
-    assert is_on(path[-1, 2, :2], *RED_LANDMARK)
 
 
 def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:

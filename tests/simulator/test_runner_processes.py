@@ -24,8 +24,6 @@ from tests.simulator.toys import GO, HELP, WEAK, runner, wait_until
 
 ROOT = Path(phase_ppl.__file__).parents[1]
 PATIENCE = 60.0
-HEAVY = {"arviz", "jax", "matplotlib", "numpyro", "pandas", "torch", "xarray"}
-
 SLEEPER = """
     import pathlib, sys, time
     from phase_ppl.simulator.runner import Runner
@@ -79,9 +77,6 @@ def is_alive(pid: int) -> bool:
     return True
 
 
-# --- a worker dies ---------------------------------------------------------------------------
-
-
 def test_what_a_dead_worker_lost_is_run_again(tmp_path: Path) -> None:
     with (
         runner(toys.drift, workers=1) as sound,
@@ -116,9 +111,6 @@ def test_a_worker_that_died_between_two_runs_is_replaced() -> None:
         wait_until(lambda: two._pool._executor._flags.broken)  # type: ignore[union-attr]
         assert all(r.completed for r in two.run([GO, WEAK, HELP], [1, 2, 3]))
         assert two.statistics.retries == 0
-
-
-# --- the end of workers ----------------------------------------------------------------------
 
 
 def test_cancelling_leaves_no_worker_not_even_busy_ones(
@@ -223,13 +215,3 @@ def test_a_script_needs_no_guard_and_is_not_kept_alive_by_runners_that_it_never_
     lines = output.splitlines()
     assert lines == [lines[0]] * 4
     assert lines[0].endswith("None None")
-
-
-def test_simulating_imports_none_of_the_inference_libraries() -> None:
-    text = "import sys, phase_ppl.simulator.runner as r; print(*sys.modules, end='|');"
-    text += "import phase_ppl.simulator.joint; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True, text=True)
-    runner_alone, all_of_it = (set(part.split()) for part in done.stdout.split("|"))
-    assert "phase_ppl.simulator.joint" in all_of_it
-    assert not runner_alone & {*HEAVY, "numba"}
-    assert not all_of_it & HEAVY

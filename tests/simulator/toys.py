@@ -102,18 +102,6 @@ class KillsItsWorker:
         yield from drift(scene, hypothesis, rng)
 
 
-class CountsRuns:
-    """Drifts, and leaves a file per run."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-        number = rng.bit_generator.seed_seq.generate_state(1)[0]  # type: ignore[attr-defined]
-        (self.folder / f"{number}-{time.monotonic_ns()}").touch()
-        yield from drift(scene, hypothesis, rng)
-
-
 class Slips:
     """Leaves files where it travels to a process and warms up; tells its process if weak.
 
