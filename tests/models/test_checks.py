@@ -140,9 +140,6 @@ def test_what_cannot_work_is_refused_by_site_with_what_is_expected(
         checked_sites(prior)
 
 
-# --- what may be unusual and works -------------------------------------------------------------
-
-
 def alpha_after_beta(name: str) -> None:
     social = numpyro.sample("social", dist.Beta(2.0, 5.0))
     numpyro.sample(name, dist.Categorical(probs=jnp.stack([1 - social, *[social / 4] * 4])))

@@ -127,6 +127,3 @@ def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
     monkeypatch.setattr(compiled, "_IMPORTED", 0.0)
     called(Compiled(drawn, "a draw"))
     assert not list(tmp_path.iterdir())
-
-
-# --- small programs -------------------------------------------------------------------------------

@@ -52,9 +52,6 @@ def edges(of: Graphs) -> set[tuple[int, int, int]]:
     return set(map(tuple, of.edges.tolist()))
 
 
-# --- graphs ------------------------------------------------------------------------------------
-
-
 def test_entities_are_joined_with_the_landmarks_near_them() -> None:
     found = {edge for edge in edges(graphs()) if max(edge[1:]) >= 4}
     positions = BRINGING.observation.positions
@@ -91,9 +88,6 @@ def test_contact_is_being_near_with_no_wall_between() -> None:
     start[1, 0] = 15 + 2.41
     moved = Observation(np.stack([start, start]))
     assert not touching(open_scene, moved)[0, 0, 1]
-
-
-# --- learning ----------------------------------------------------------------------------------
 
 
 @needs_torch
@@ -145,9 +139,6 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
     assert torch.get_num_threads() == threads
 
 
-# --- answers -----------------------------------------------------------------------------------
-
-
 def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float16]]:
     """Return the arrays of a network that has learned nothing."""
     rng = np.random.default_rng(seed)
@@ -179,9 +170,6 @@ def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> N
         np.testing.assert_allclose(
             said.relation[number].softmax(-1).numpy(), alone["relation"], atol=1e-5
         )
-
-
-# --- files -------------------------------------------------------------------------------------
 
 
 def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
