@@ -93,15 +93,6 @@ def test_step_and_step_mean_do_the_same() -> None:
         assert np.array_equal(part, other)
 
 
-def test_compiled_model_has_no_state_outside_its_arrays() -> None:
-    where, actions = crowded(np.random.default_rng(9))
-    first, second = (start_in(CompiledWorld, *where, strengths=STRENGTHS) for _ in range(2))
-    after(first, *actions[:5])
-    second.bodies[:], second.held[:], second.weld[:] = first.bodies, first.held, first.weld
-    for pair in actions[5:]:
-        assert np.array_equal(first.step(pair), second.step(pair))
-
-
 def test_threads_with_their_own_scratch_do_not_disturb_each_other() -> None:
     cases = [crowded(np.random.default_rng(seed)) for seed in range(8)]
 

@@ -179,9 +179,6 @@ def test_both_engines_find_the_same_grab() -> None:
     assert {point for _, point in found} == {-1, 0, 1, 2, 3}
 
 
-# --- a rod that swivels, and a push at the origin -------------------------------------------------
-
-
 def imagined(
     swivel: bool, *actions: Action, item: tuple[float, float] = (16.0, 13.6)
 ) -> tuple[NDArray[np.float64], bool]:

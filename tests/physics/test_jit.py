@@ -60,12 +60,6 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return make
 
 
-@pytest.mark.parametrize("decorator", ["bare_kernel", "inlined_kernel"])
-def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str) -> None:
-    assert load(decorator) == (1, 0)
-    assert load(decorator) == (0, 1)
-
-
 @pytest.mark.parametrize("in_parts", [True, False])
 def test_kernels_within_kernels_give_what_python_would(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_parts: bool

@@ -111,9 +111,6 @@ def test_what_is_out_of_the_picture_is_not_drawn_and_what_is_half_out_in_part() 
             frame(wrong)
 
 
-# --- fields of view are drawn by the simulator's rule ---------------------------------------------
-
-
 def inside(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
     """Whether each of (n, 2) points is inside a polygon: a ray to the right crosses it oddly."""
     x, y = points[:, :1], points[:, 1:]
@@ -183,9 +180,6 @@ def test_an_agent_whose_eye_lies_in_a_wall_or_in_another_body_sees_as_the_rule_s
     points, visible = seen_by_the_simulator(held, 0, np.array([0.03, 0.01]))
     assert np.array_equal(inside(corners, points), visible)
     assert np.linalg.norm(corners - corners[0], axis=1).max() < 0.31
-
-
-# --- drawn -----------------------------------------------------------------------------------
 
 
 def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:
