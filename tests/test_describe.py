@@ -79,9 +79,6 @@ def test_what_is_no_set_or_a_damaged_one_is_named(
     assert "missing.json" in fails(capsys, "describe", tmp_path / "missing.json")
 
 
-# --- export ---------------------------------------------------------------------------------------
-
-
 def test_events_of_several_files_go_into_one(tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "a new folder" / "x.json"
     told(capsys, "export", "collaborate", "compete", "--out", out)

@@ -145,9 +145,6 @@ def test_proposals_that_mislead_are_left_behind(monkeypatch: pytest.MonkeyPatch)
         assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
 
 
-# --- runs that are left ---------------------------------------------------------------------------
-
-
 def test_a_run_that_was_left_learns_again_what_it_had_learned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,9 +177,6 @@ def test_simulations_that_fail_count_as_impossible() -> None:
     for axis, key in ((1, "red"), (0, "green")):
         expected = possible.sum(axis=axis)
         assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
-
-
-# --- other casts ----------------------------------------------------------------------------------
 
 
 def test_three_agents_are_learned_where_the_table_has_room() -> None:
@@ -229,9 +223,6 @@ def test_a_table_without_room_is_refused_in_one_line() -> None:
     with pytest.raises(InvalidSettingError, match=said) as refused:
         ppl.infer(event, ppl.Model(simulator=never_called), kernel="amis")
     assert "\n" not in str(refused.value)
-
-
-# --- where there is nothing to learn from -------------------------------------------------------
 
 
 @pytest.mark.parametrize("kernel", ["amis", AMIS])

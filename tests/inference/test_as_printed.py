@@ -66,9 +66,6 @@ def test_a_small_search_keeps_all_else_that_is_printed() -> None:
     assert small == ppl.PlannerConfig.fast().as_printed()
 
 
-# --- proposals --------------------------------------------------------------------------------
-
-
 def test_logits_are_the_printed_formula() -> None:
     observation = moving(21, _2=(20.0, 6.0))
     logits = np.asarray(bottom_up_tables(SCENE, observation, PRINTED).goal_logits)

@@ -55,9 +55,6 @@ def path(tmp_path: Path, finished: bytes) -> Path:
     return file
 
 
-# --- going on --------------------------------------------------------------------------------
-
-
 def test_a_finished_run_is_extended_by_any_workers_to_what_a_longer_one_gives(
     path: Path, whole: ppl.Posterior
 ) -> None:
@@ -185,9 +182,6 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert_same_draws(whole.tree, post.tree)
 
 
-# --- another run -----------------------------------------------------------------------------
-
-
 def strange(scene: Any, hypothesis: Any, rng: Any) -> Any:
     yield from walkers(scene, hypothesis, rng)
 
@@ -253,9 +247,6 @@ def test_a_full_disk_ends_the_run_but_loses_nothing(
     assert kept.tree["posterior"].sizes["draw"] == 2
     assert kept.cost["interrupted"]
     assert Checkpoint(path).done == 1
-
-
-# --- files of other people -------------------------------------------------------------------
 
 
 def rewritten(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> Callable[[bytes], bytes]:
@@ -381,9 +372,6 @@ def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
         assert again == document
         np.testing.assert_equal(other, arrays)
     assert noticed > 40
-
-
-# --- other versions, and two at once ---------------------------------------------------------
 
 
 def test_a_run_is_not_gone_on_with_by_another_version_unless_told_to(

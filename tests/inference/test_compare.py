@@ -126,25 +126,6 @@ def test_an_event_needs_no_truth(
     assert written.out == ""
 
 
-def test_equal_budgets_are_equal_in_what_was_spent() -> None:
-    found = compare("none", budget=ppl.frames(1000), repeats=1)
-    assert (found.runs["frames"] >= 1000).all()
-    assert found.runs["simulations"][0] > found.runs["simulations"][1]
-    assert "the budget of frames" in str(found)
-
-
-@pytest.mark.slow
-def test_a_pool_that_is_simulated_at_the_start_is_part_of_the_budget() -> None:
-    kernels, chains, at_start = ["aies", "sa"], 12, 12 * 8 * 6
-    budget = at_start + 3 * chains
-    given: dict[str, Any] = {"kernels": kernels, "chains": chains, "repeats": 1}
-    found = compare("none", budget=ppl.simulations(budget), **given)
-    assert found.runs["simulations"].between(budget, budget + chains - 1).all()
-    assert found.runs["validity"].tolist() == ["exact", "consistent"]
-    with pytest.raises(InvalidSettingError, match=f"one iteration need {at_start + chains}"):
-        compare("none", budget=ppl.simulations(at_start), **given)
-
-
 def asked(given: Any) -> Reference:
     return Reference.asked_for(given, EVENT, SETTINGS["budget"])
 
@@ -201,9 +182,6 @@ def test_a_preset_is_run_whole_and_kept_whole(
     rows = r"proposals .*\nprinted +paper .*\nguided +closed_loop .*\nprior +- "
     assert re.search(rows, str(found))
     assert "other lengths: printed, which has 6 iterations" in str(found)
-
-
-# --- checkpoint and Ctrl-C ---------------------------------------------------------------------
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list[str]:
@@ -265,9 +243,6 @@ def test_a_checkpoint_of_other_settings_or_damaged_is_refused(
         compare(reference, checkpoint=path)
 
 
-# --- what is refused ---------------------------------------------------------------------------
-
-
 def even_only(program: Any) -> Any:
     """A kernel that stumbles over an odd number of chains."""
 
@@ -312,9 +287,6 @@ def test_chains_may_be_ones_own(reference: ppl.Posterior) -> None:
     (pairs,) = entries({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
     pairs.check(EVENT, MODEL, ppl.simulations(24))
     assert pairs.record()["chains"] == 6
-
-
-# --- enumeration -------------------------------------------------------------------------------
 
 
 def straight(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:

@@ -158,9 +158,6 @@ def test_particles_start_anew_where_no_simulation_succeeds() -> None:
     assert in_vain.calls == 4 * chains
 
 
-# --- what hangs ------------------------------------------------------------------------------
-
-
 def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
     options = {**OPTIONS, "iterations": 2, "weights": "count"}
     for limit in LIMITS:

@@ -5,12 +5,8 @@ import pytest
 
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import (
-    FEATURES,
-    GOALS_ABOUT,
-    KINDS,
     bottom_up_tables,
     goal_features,
-    goal_weights,
     joint_logits,
 )
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
@@ -21,15 +17,8 @@ from phase_ppl.world.names import AGENTS, LANDMARKS
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import SCENE, START, moving
 
-# --- features -------------------------------------------------------------------------------------
-
 RED, GREEN = 0, 1
 N_FRAMES = 21
-
-
-def feature(observation: Observation, name: str, goal: str, agent: int = RED) -> float:
-    whole = goal_features(SCENE, observation, np.array([0]), np.array([N_FRAMES - 1]))
-    return float(whole[0, agent, goal_index(goal), FEATURES.index(name)])
 
 
 def most_probable(observation: Observation, agent: int) -> str:
@@ -38,30 +27,10 @@ def most_probable(observation: Observation, agent: int) -> str:
     return GOALS[int(alone.argmax())]
 
 
-def test_every_goal_has_a_kind_and_every_kind_weights() -> None:
-    assert GOALS_ABOUT.kind.shape == (2, N_GOALS)
-    assert KINDS[GOALS_ABOUT.kind[RED, goal_index("Get red agent away from blue lm")]] == "not self"
-    assert KINDS[GOALS_ABOUT.kind[GREEN, goal_index("Get red agent to blue lm")]] == "other"
-    assert KINDS[GOALS_ABOUT.kind[RED, goal_index("get to green agent")]] == "touch"
-    for weights in goal_weights().values():
-        assert weights.shape == (len(KINDS), len(FEATURES))
-        assert np.isfinite(weights).all()
-    # one frame of motion is enough
+def test_one_frame_of_motion_is_enough() -> None:
     short = Observation(moving(_0=(16.0, 12.0)).trajectory[:2])
     tables = bottom_up_tables(SCENE, short, SimpleSettings())
     assert np.isfinite(np.asarray(tables.goal_logits)).all()
-
-
-def test_touch_and_way_are_the_agents_own() -> None:
-    pushed = moving(_2=(9.0, 18.5)).trajectory.copy()
-    pushed[:, RED, :2] = pushed[:, 2, :2] - np.array([1.4, 1.0])
-    seen, goal = Observation(pushed), f"Get blue item to {LANDMARKS[0]}"
-    assert feature(seen, "share of time touching the subject", goal) == 1
-    assert feature(seen, "share of time touching the subject", goal, GREEN) == 0
-    assert feature(seen, "progress", goal) > 0
-    name, goal = "agent's way towards the subject", "Get pink item to red lm"
-    assert feature(moving(_0=(16.0, 12.0)), name, goal) > 0
-    assert feature(moving(_3=(10.0, 10.0)), name, goal) == 0
 
 
 def test_features_do_not_depend_on_which_landmark_it_is() -> None:

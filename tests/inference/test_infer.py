@@ -98,9 +98,6 @@ def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str
     assert captured.out == ""
 
 
-# --- what of an event counts -------------------------------------------------------------------
-
-
 def test_only_scene_and_observation_change_the_posterior(
     post: ppl.Posterior, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,9 +137,6 @@ def infer_event(event: ppl.Event) -> ppl.Posterior:
     )
 
 
-# --- other kernels and models ------------------------------------------------------------------
-
-
 def test_a_kernel_goes_by_name_or_function_and_room_for_more_frames_changes_no_draw() -> None:
     # of a function nobody knows how valid what it makes is, or whether it takes longer arrays
     kernels = ("prior_mh", lambda program: PriorMH(program))
@@ -176,8 +170,6 @@ def test_sites_of_ones_own_are_inferred_and_stored() -> None:
     assert found.tree["simulations"]["outgoing"].shape == (n, 2)
     assert 0 < found.mean("sociability") < 1
 
-
-# --- what goes wrong ---------------------------------------------------------------------------
 
 Results = list[SimulationResult]
 Change = Callable[[int, Any, Results], Any]

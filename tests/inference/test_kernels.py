@@ -27,16 +27,10 @@ from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from tests.inference.toy import (
     SETTINGS,
-    table_errors,
     total_variation,
     walkers,
     walking_event,
 )
-
-ERRORS = table_errors()
-
-
-# --- arrays that are longer than the observation ----------------------------------------------
 
 
 def made(n_frames: int, **changes: Any) -> Run:
@@ -66,8 +60,6 @@ def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observati
     assert own.recipe[-1] == unknown.recipe[-1] == 20
     assert made(20, kernel=PriorMH).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
 
-
-# --- the rules, on a chain so small that its transition matrix can be written down ---------------
 
 HYPOTHESES, SEEDS, TIME, LENGTH, ETA, BETA = 8, 3, 10, 3, 0.5, 0.4
 

@@ -97,9 +97,6 @@ def sampled(
     return mcmc
 
 
-# --- the program ----------------------------------------------------------------------------------
-
-
 def test_a_trace_is_a_hypothesis_a_seed_and_the_errors_of_their_simulation(
     program: OpenProgram,
 ) -> None:
@@ -143,8 +140,6 @@ def test_fixed_noise_is_no_site(program: OpenProgram) -> None:
 def drawn(model: Any, key: jax.Array, given: Any = None) -> Any:
     return handlers.trace(handlers.seed(handlers.substitute(model, given or {}), key)).get_trace()
 
-
-# --- kernels --------------------------------------------------------------------------------------
 
 METHODS = [("vectorized", True), ("sequential", False)]
 
@@ -255,9 +250,6 @@ def test_what_needs_a_gradient_or_to_enumerate_seeds_says_what_runs(program: Ope
             sampled(NUTS(model), 1, 1)
 
 
-# --- the posterior --------------------------------------------------------------------------------
-
-
 def test_the_posterior_counts_the_chains_draws_and_simulates_nothing() -> None:
     program, mcmc = plain(ppl.kernels.PriorMH)
     n, z = len(program.records), mcmc.get_samples()
@@ -294,9 +286,6 @@ def test_runs_that_make_no_posterior_are_refused(program: OpenProgram) -> None:
     with pytest.raises(InvalidSettingError, match="the samples lack alpha"):
         ppl.Posterior.from_numpyro(short)
     plain.cache_clear()
-
-
-# --- workers, failures, debugging -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bar", [False, True])

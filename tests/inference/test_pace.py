@@ -66,9 +66,6 @@ def test_a_run_whose_hypotheses_are_all_known_ends() -> None:
     assert not pace.goes_on
 
 
-# --- whole runs ------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def one_second_each(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     class Ticks(Watched):
@@ -141,8 +138,6 @@ def test_a_budget_goes_on_bit_for_bit(
     with pytest.raises(InvalidSettingError, match=r"too small.*went on after"):
         resume(path, budget=less)
 
-
-# --- length ---------------------------------------------------------------------------------------
 
 INFO = KernelInfo("mine", lambda program: None, "exact", 2, ("vectorized",), (), "")
 COSTLY = SimpleNamespace(sims_at_start=3, sims_per_step=5)

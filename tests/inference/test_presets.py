@@ -13,9 +13,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
-from phase_ppl.inference.compare import entries
 from phase_ppl.inference.run import Run
-from phase_ppl.inference.settings import PRESETS, completed
+from phase_ppl.inference.settings import completed
 from phase_ppl.models.predicate import INDEPENDENT, PredicateSettings
 from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -89,20 +88,6 @@ def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds(
     changed = ready("predicate", {"preset": "as_intended", "prior": "uniform", "on_item": 2.0})
     assert changed.record["model_settings"]["prior"] == "uniform"
     assert changed.record["model_settings"]["on_item"] == 2.0
-
-
-def test_compare_takes_presets_for_kernels() -> None:
-    found = entries(list(PRESETS), 7, ppl.SimpleSettings())
-    assert [one.label for one in found] == list(PRESETS)
-    assert {one.info.name for one in found} == {"local_mh"}
-    printed, _, simple, guided = found
-    assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
-    # whole: its planner and its length too
-    assert printed.own == {"planner": "as_printed", "iterations": 6}
-    assert (simple.options, simple.chains, simple.own) == ({}, 7, {})
-    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
-    (shorter,) = entries({"few": ("as_printed", {"iterations": 2})}, 7, ppl.SimpleSettings())
-    assert shorter.own["iterations"] == 2
 
 
 def test_open_settings_are_settled_by_the_world_alone() -> None:

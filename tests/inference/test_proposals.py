@@ -12,7 +12,6 @@ import numpyro
 import numpyro.distributions as dist
 import pytest
 from jax import random
-from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
@@ -34,7 +33,6 @@ from tests.inference.toy import (
     N_FRAMES,
     SCENE,
     SETTINGS,
-    START,
     guide_of_logits,
     moving,
     never_called,
@@ -72,15 +70,6 @@ def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
     assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
 
 
-def test_progress_counts_as_well_as_closeness_in_the_window_itself() -> None:
-    there = np.repeat(START[None], 21, axis=0)
-    there[:, 2, :2] = 20.0, 8.0
-    resting, arriving = distances(Observation(there)), distances(moving(_2=(20.0, 8.0)))
-    assert logit(arriving, TO_RED) > logit(resting, TO_RED) + 1
-    tables = distances(moving(41, _2=(23.5, 4.5)))
-    assert logit(tables, TO_RED, 30) > logit(tables, TO_RED, 0)
-
-
 def test_goals_about_agents_are_judged_by_where_these_are() -> None:
     tables = distances(moving(_1=(23.5, 4.5)))
     goal = "Get green agent to red lm"
@@ -99,9 +88,6 @@ def test_printed_sign_prefers_far_goals() -> None:
         for sign in ("intended", "printed")
     )
     np.testing.assert_allclose(intended, -printed)
-
-
-# --- the guide as a program --------------------------------------------------------------------
 
 
 def red_is_known(scene: Scene, observation: Observation, windows: np.ndarray) -> StrengthEstimates:
@@ -162,15 +148,6 @@ def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> N
     ratio = np.exp(densities(prior, z) - densities(guide_of(prior), z, jnp.array(WINDOW)))
     assert ratio.max() < 1 / 0.1 + 1e-3
     assert ratio.mean() == pytest.approx(1, abs=5 * ratio.std() / np.sqrt(len(ratio)))
-
-
-def test_guide_is_a_program_whose_density_numpyro_agrees_with() -> None:
-    guide, window = guide_of(priors.uniform), jnp.array(WINDOW)
-    z = proposed(priors.uniform)
-    assert set(z) == set(sites.HYPOTHESIS_SITES)
-    theirs = jax.vmap(lambda one: numpyro_log_density(guide, (window,), {}, one)[0])
-    expected = np.asarray(compiled_quickly(theirs)(z))
-    np.testing.assert_allclose(densities(guide, z, window), expected, rtol=1e-5)
 
 
 def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior() -> None:

@@ -183,9 +183,6 @@ def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:
     return found
 
 
-# --- whole runs --------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "options", "most", "draws"),
@@ -236,9 +233,6 @@ def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     cells = np.searchsorted([-0.9674, 0.0, 0.9674], scores)
     expected = np.bincount(cells @ [4, 1], minlength=16).reshape(4, 4) / len(scores)
     np.testing.assert_allclose(found, expected, atol=0.004)
-
-
-# --- what is refused ---------------------------------------------------------------------------
 
 
 def counted() -> None:

@@ -96,14 +96,6 @@ def test_what_it_does_is_said_in_words_and_in_literals_of_all_worlds() -> None:
     )
 
 
-def test_files_keep_predicates_with_the_event(tmp_path: Path) -> None:
-    event = simulate("toys together", frames=3)
-    ppl.save_event(event, tmp_path / "event.json")
-    back = ppl.load_event(tmp_path / "event.json")
-    assert (back.scene.world, back.truth) == (NURSERY, event.truth)
-    np.testing.assert_allclose(back.observation.trajectory, event.observation.trajectory)
-
-
 def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> None:
     event = simulate("toys together", frames=30)
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))

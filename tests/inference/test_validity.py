@@ -271,18 +271,3 @@ def test_particles_do_not_notice_each_other(name: str) -> None:
     among = follow(name, others.at[4].set(KEYS[4]), 1, TableRunner(ERRORS)).states
     fourth = jax.tree.map(lambda leaf: leaf[:, 4], among._replace(rng_key=None))
     assert_same(fourth, run(name).states, (slice(BLOCK), 4))
-
-
-def test_a_single_particle_is_stopped_early_only_where_that_is_wanted() -> None:
-    sites = {site: values[0] for site, values in START.items()}
-    for early_reject in (True, False):
-        single = kernel("prior_mh", 0, early_reject=early_reject)
-        state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
-        assert jax.eval_shape(single.sample, state) == state
-        stops = []
-
-        def proposed(state: Any, single: Any = single, stops: list[bool] = stops) -> None:
-            stops.append(isinstance(single.propose(state)[1].error_ceiling, jax.core.Tracer))
-
-        jax.eval_shape(proposed, state)
-        assert stops == [early_reject]

@@ -132,9 +132,6 @@ def test_worlds_of_any_number_of_agents_are_read_with_gaps() -> None:
     np.testing.assert_allclose(post.at(3).marginal(goal).sum(), 1.0)
 
 
-# --- by a simulator of one's own ------------------------------------------------------------------
-
-
 class OfLastSeen(Draws):
     """Goes on from where each body was seen last; items rest, and so may be unseen."""
 

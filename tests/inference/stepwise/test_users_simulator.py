@@ -266,12 +266,6 @@ def test_another_prior_is_another_run_and_a_file_says_the_same(
     )
 
 
-def test_what_frames_say_of_strengths_depends_on_goals(exact: ppl.StepwisePosterior) -> None:
-    goals = (ppl.GOALS[goal] for goal in RED_GOALS)
-    means = [float(exact.mean("strength_red", given={"goal_red": goal})) for goal in goals]
-    assert np.ptp(means) > 20
-
-
 def test_a_frame_that_no_sample_comes_near_is_called_out() -> None:
     torn = EVENT.observation.trajectory.copy()
     torn[2:, 2, 0] += 9.0

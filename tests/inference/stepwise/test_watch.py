@@ -13,11 +13,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.closed_loop.goal_filter import GoalFilter
-from phase_ppl.models import priors
-from phase_ppl.models.effective import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from tests.inference.toy import few_goals
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
@@ -147,18 +144,6 @@ def test_a_kernel_that_samples_finds_the_same() -> None:
         for cell in itertools.pairwise((150.0, 225.0, 375.0, 525.0, 600.0)):
             expected = exact.probability(**{name: cell})
             assert abs(post.probability(**{name: cell}) - expected) < 0.06, (name, cell)
-
-
-def test_a_level_has_the_prior_mass_of_the_strengths_nearest_to_it() -> None:
-    for prior, masses in (
-        ("uniform", [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
-        ("strength_levels", [1 / 4] * 4),
-    ):
-        table = np.exp(prior_table(priors.named(prior), STRENGTH_LEVELS))
-        np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 3)), masses, atol=1e-6)
-        np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 4)), masses, atol=1e-6)
-    levels = np.array(STRENGTH_LEVELS)
-    assert place_of_level((150, 224, 226, 374, 526, 600), levels).tolist() == [0, 0, 1, 1, 3, 3]
 
 
 def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.StepwisePosterior) -> None:
