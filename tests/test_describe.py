@@ -42,11 +42,7 @@ def test_it_prints_a_table_and_writes_it_with_card_and_sheet(
 ) -> None:
     out = tmp_path / "out"
     text = told(capsys, "describe", folder, "--out", out, "--quiet")
-    for words in (
-        "my set: 2 events, 1 without copies",
-        "scenario",
-        "data_card.png, contact_sheet",
-    ):
+    for words in ("my set: 2 events, 1 without copies", "scenario", "data_card.png, contact_sheet"):
         assert words in text
     for name in ("data_card.png", "contact_sheet.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")

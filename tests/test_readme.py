@@ -181,11 +181,7 @@ def test_citation_and_changelog_are_of_this_version() -> None:
 
 SHOWN: dict[str, list[str]] = {
     "alternative_prior": ["sparse_social", "E[kindness] = "],
-    "chain_diagnostics": [
-        "fail    enough simulations",
-        "move_rate",
-        "diagnostics.png",
-    ],
+    "chain_diagnostics": ["fail    enough simulations", "move_rate", "diagnostics.png"],
     "compare_kernels": ["reference: enumeration", "prior_mh", "comparison.png"],
     "glide": ["<event glide: 12 frames"],
     "numpyro_native": ["sim_seed        sample", "strong red: off by", "simulations,", "friendly"],

@@ -15,13 +15,7 @@ from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import (
-    FULL_WALL_UP,
-    NARROW_WALL_DOWN,
-    model_of,
-    scene,
-    state_of,
-)
+from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, model_of, scene, state_of
 
 RED, GREEN, BLUE, PINK = range(4)
 DOWN = 2

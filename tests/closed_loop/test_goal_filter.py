@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
 from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
-from phase_ppl.closed_loop.goal_filter import (
-    ActionPolicy,
-    Plans,
-    policies_of,
-)
+from phase_ppl.closed_loop.goal_filter import ActionPolicy, Plans, policies_of
 from phase_ppl.physics.actions import N_ACTIONS, Action
 
 POLICY = ActionPolicy(sharpness=2.0, lapse=0.3)

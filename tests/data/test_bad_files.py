@@ -17,11 +17,7 @@ from phase_ppl.data import documents
 from phase_ppl.data.documents import parse_document
 from phase_ppl.data.events_json import event_record
 from phase_ppl.data.load import load_event, load_events, save_event
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    PhasePPLError,
-    UnknownNameError,
-)
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from tests.data.authors.test_unpickle import Trap
 from tests.data.test_phase_test import put, video, write
 from tests.world.examples import make_event

@@ -23,10 +23,7 @@ from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import through
 from phase_ppl.inference.registry import kernel_info
-from phase_ppl.inference.tables import (
-    BottomUpTables,
-    window_count,
-)
+from phase_ppl.inference.tables import BottomUpTables, window_count
 from phase_ppl.models import world_priors
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.compiled import Compiled

@@ -32,13 +32,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Unkno
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.inference.runs import EVENT, MODEL, infer
-from tests.inference.toy import (
-    all_of_few_goals,
-    few_goals,
-    never_called,
-    walkers,
-    walking_event,
-)
+from tests.inference.toy import all_of_few_goals, few_goals, never_called, walkers, walking_event
 
 KERNELS = {"early": "prior_mh", "whole": ("prior_mh", {"early_reject": False})}
 SETTINGS: dict[str, Any] = {
@@ -98,7 +92,6 @@ def test_a_run_can_be_made_again_by_infer(found: ppl.Comparison, reference: ppl.
     run = found.runs.iloc[1]
     post = infer(iterations=None, budget=ppl.simulations(24), seed=int(run["seed"]))
     post = ppl.Posterior(post.tree, "count")
-    assert EVENT.truth is not None
     assert run["p_relation"] == post.probability(relation=EVENT.truth.relation)
     apart = [
         0.5 * np.abs(post.marginal(name).values - reference.marginal(name).values).sum()
@@ -212,7 +205,6 @@ def test_interrupt_keeps_finished_runs_and_a_checkpoint_goes_on_from_them(
     with pytest.raises(ppl.ComparisonInterrupted) as caught:
         compare(reference, checkpoint=path)  # more repeats and kernels than at first
     kept = caught.value.comparison
-    assert kept is not None
     # repeat by repeat, so that what is kept is balanced
     finished = [("early", 0), ("early", 1), ("whole", 0)]
     assert list(zip(kept.runs["kernel"], kept.runs["repeat"], strict=True)) == finished
@@ -312,7 +304,6 @@ def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
     exact = exact_pairs()
     model = ppl.Model(prior=few_goals, simulator=straight)
     plan = plan_enumeration(model)
-    assert plan is not None
     assert len(plan.goals) == np.count_nonzero(exact)
     for one in (model, dataclasses.replace(model, noise="fixed")):
         found = enumerate_goals(EVENT, one, plan, workers=1)
@@ -347,7 +338,6 @@ def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
         # as four simulations with so much noise have them
         found = of_masses(pairs, log_mass[:, None] + rng.normal(0, sd, (len(pairs), 4)))
         error = error_of([(of_goals(one), of_goals(other)) for one, other in found.halves])
-        assert error is not None
         true.append(distances(of_goals(found.probability), of_goals(exact))["tv_goals"])
         stated.append(error["tv_goals"])
     assert np.mean(np.less(true, stated)) >= 0.7

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.tables import (
-    bottom_up_tables,
-    goal_features,
-    joint_logits,
-)
+from phase_ppl.inference.tables import bottom_up_tables, goal_features, joint_logits
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index

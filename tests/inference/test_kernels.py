@@ -25,12 +25,7 @@ from phase_ppl.inference.kernels.metropolis import PriorMH, log_ratio
 from phase_ppl.inference.run import Run
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from tests.inference.toy import (
-    SETTINGS,
-    total_variation,
-    walkers,
-    walking_event,
-)
+from tests.inference.toy import SETTINGS, total_variation, walkers, walking_event
 
 
 def made(n_frames: int, **changes: Any) -> Run:

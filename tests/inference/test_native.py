@@ -152,8 +152,7 @@ def plain(kernel: Any) -> tuple[OpenProgram, Any]:
 
 
 @pytest.mark.parametrize(
-    "kernel",
-    [ppl.kernels.PriorMH, pytest.param(ppl.kernels.LocalMH, marks=pytest.mark.slow)],
+    "kernel", [ppl.kernels.PriorMH, pytest.param(ppl.kernels.LocalMH, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize(("method", "bar"), METHODS)
 def test_every_chain_method_draws_the_same_with_a_bar_and_without(
@@ -197,9 +196,7 @@ def test_draws_are_those_of_infer() -> None:
         np.testing.assert_allclose(again.tree["sample_stats"][name], values, 1e-4, err_msg=name)
 
 
-def test_numpyros_gibbs_visits_goals_by_the_posterior_given_the_rest(
-    program: OpenProgram,
-) -> None:
+def test_numpyros_gibbs_visits_goals_by_the_posterior_given_the_rest(program: OpenProgram) -> None:
     given = {"sim_seed": jnp.int32(1)}
     given |= {name: jnp.float32(300.0) for name in ("strength_red", "strength_green")}
     kernel = DiscreteGibbs(handlers.condition(program, given))

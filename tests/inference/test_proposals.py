@@ -16,12 +16,7 @@ from jax import random
 from phase_ppl.inference.guide import Guide, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.strength import StrengthEstimates
-from phase_ppl.inference.tables import (
-    BottomUpTables,
-    bottom_up_tables,
-    window_count,
-    window_length,
-)
+from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables, window_count, window_length
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
@@ -29,14 +24,7 @@ from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.scene import Scene
-from tests.inference.toy import (
-    N_FRAMES,
-    SCENE,
-    SETTINGS,
-    guide_of_logits,
-    moving,
-    never_called,
-)
+from tests.inference.toy import N_FRAMES, SCENE, SETTINGS, guide_of_logits, moving, never_called
 
 RED, GREEN = 0, 1
 TO_RED = "Get blue item to red lm"
@@ -135,13 +123,7 @@ def helpful_moods() -> None:
     numpyro.sample("memory", dist.Normal(red / 600, 0.5).expand([2]).to_event(1))
 
 
-@pytest.mark.parametrize(
-    "prior",
-    [
-        priors.uniform,
-        helpful_moods,
-    ],
-)
+@pytest.mark.parametrize("prior", [priors.uniform, helpful_moods])
 def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> None:
     # then the mean of P / Q over draws of Q is the total mass of P, since Q covers P
     z = proposed(prior)

@@ -121,7 +121,6 @@ def test_a_file_knows_a_registered_prior_by_its_name_and_asks_for_an_own_one(
 def test_draws_are_kept_in_a_file_with_their_burn_in(tmp_path: Path) -> None:
     post = ppl.Posterior(sampled(iterations=30).tree, burn_in=11)
     back = ppl.load_posterior(post.save(tmp_path / "draws.nc"))
-    assert isinstance(back, ppl.Posterior)
     assert back.burn_in == post.burn_in == 11
     assert str(back) == str(post)
     assert_same_draws(back.tree, post.tree)
@@ -232,7 +231,6 @@ def test_ctrl_c_keeps_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ppl.Interrupted) as stopped:
         sampled(iterations=200)
     post = stopped.value.posterior
-    assert post is not None
     assert n_draws(post) == table_run._BLOCK
     assert post.cost["interrupted"]
     drawn, all_drawn = (p.tree["posterior"]["strength_red"].values for p in (post, whole))

@@ -111,11 +111,7 @@ def test_identical_requests_of_one_batch_or_a_later_one_are_paid_for_once() -> N
 
 @pytest.mark.parametrize(
     ("ceilings", "bound", "again"),
-    [
-        ([5.0, np.inf, 20.0], 2.0, [3.0]),
-        ([5.0, 9.0, 20.0], 3.0, []),
-        ([5.0, 9.0], 2.0, [1.0]),
-    ],
+    [([5.0, np.inf, 20.0], 2.0, [3.0]), ([5.0, 9.0, 20.0], 3.0, []), ([5.0, 9.0], 2.0, [1.0])],
 )
 def test_of_equal_requests_in_a_batch_the_longest_is_run_and_the_first_that_ends_is_kept(
     ceilings: list[float], bound: float, again: list[float]

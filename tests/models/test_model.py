@@ -17,13 +17,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS
-from tests.inference.toy import (
-    N_FRAMES,
-    TableRunner,
-    never_called,
-    table_errors,
-    table_program,
-)
+from tests.inference.toy import N_FRAMES, TableRunner, never_called, table_errors, table_program
 
 
 @pytest.mark.parametrize(

@@ -50,9 +50,8 @@ def eight() -> list[Event]:
     walks = [walk(i, (i + 1 + i // 4) % 4, 4 + i, i % 2 == 0) for i in range(4)]
     walks += [walk(i, (i + 2) % 4, 5 + i, i % 2 == 1) for i in range(3)]
     friendly = walk(0, 0, 7, with_item=True)
-    goal = friendly.truth
-    assert goal is not None
-    truth = Truth(goal.goal_red, goal.goal_red)
+    goal = friendly.truth.goal_red
+    truth = Truth(goal, goal)
     return [*walks, Event(friendly.scene, friendly.observation, "both", truth)]
 
 

@@ -28,7 +28,6 @@ def event() -> ppl.Event:
 
 def test_an_event_knows_what_its_agents_thought(event: ppl.Event) -> None:
     thoughts = event.thoughts
-    assert thoughts is not None
     assert len(thoughts.subgoals) == len(thoughts.actions) == 29
     assert thoughts.particles.shape == (29, 2, 20, 4, 3)
     assert thoughts.seen[:, [0, 1], [0, 1]].all()  # itself

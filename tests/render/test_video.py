@@ -17,17 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phase_ppl.render import contact_sheet, image, strip, video, videos
-from phase_ppl.render.frames import (
-    THUMBNAIL,
-    UNKNOWN_COLOUR,
-    Painter,
-    thumbnail,
-)
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-)
+from phase_ppl.render.frames import THUMBNAIL, UNKNOWN_COLOUR, Painter, thumbnail
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.picture import SCENARIO_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory

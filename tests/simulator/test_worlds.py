@@ -74,7 +74,6 @@ def test_each_of_three_agents_acts_on_its_own(trio: ppl.Event) -> None:
     assert truth.strengths == (300.0, 450.0, 600.0)
     assert truth.relation_between("purple agent", "red agent") == "adversarial"
     assert truth.relation_between("green agent", "red agent") == "neutral"
-    assert thoughts is not None
     assert thoughts.actions.shape == (39, 3)
     assert thoughts.particles.shape == (39, 3, 20, 5, 3)
     track = trio.observation.trajectory

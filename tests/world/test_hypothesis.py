@@ -148,7 +148,6 @@ def test_true_scenarios_and_relations_of_the_published_videos_follow_from_the_go
     counts: Counter[str] = Counter()
     for event in events:
         truth = event.truth
-        assert truth is not None
         assert truth.scenario == scenario(truth.goal_red, truth.goal_green), event.id
         assert truth.relation == relation(truth.goal_red, truth.goal_green), event.id
         counts[truth.scenario] += 1

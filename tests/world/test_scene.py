@@ -13,12 +13,7 @@ import pytest
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.scene import LANDMARK_CENTRES
-from tests.world.examples import (
-    START,
-    check_refused,
-    make_scene,
-    make_trajectory,
-)
+from tests.world.examples import START, check_refused, make_scene, make_trajectory
 
 BAD_SCENES: list[tuple[str, dict[str, object]]] = [
     ("scene.start[0, 0] is nan", {"start": np.where(np.eye(4, 3), math.nan, START)}),

@@ -15,12 +15,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.data.generated import GeneratedEvents
 from phase_ppl.data.generation import making
-from phase_ppl.data.generation.families import (
-    FAMILIES,
-    draw_situation,
-    family_of,
-    register_family,
-)
+from phase_ppl.data.generation.families import FAMILIES, draw_situation, family_of, register_family
 from phase_ppl.data.generation.generate import generate
 from phase_ppl.data.generation.making import MAX_STUCK, NEAR, reason_against, uniform_roles
 from phase_ppl.data.generation.situation import SIZES, Draw, Situation
@@ -325,12 +320,7 @@ KEPT: list[tuple[str, Hypothesis, dict[str, Any], str | None]] = [
     ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
     ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
     ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
-    (
-        "opposing",
-        roles("", "hinder"),
-        {"closest": FAR},
-        "never come",
-    ),
+    ("opposing", roles("", "hinder"), {"closest": FAR}, "never come"),
     ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
 ]
 

@@ -15,12 +15,7 @@ from phase_ppl.world.hypothesis import Hypothesis
 from tests.simulator.clusters import note
 
 SOLO = ppl.worlds.SOLO
-SET: dict[str, Any] = {
-    "world": SOLO,
-    "frames": 24,
-    "seed": 2,
-    "max_tries": 9,
-}
+SET: dict[str, Any] = {"world": SOLO, "frames": 24, "seed": 2, "max_tries": 9}
 N = 5
 
 

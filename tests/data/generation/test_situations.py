@@ -30,14 +30,7 @@ from phase_ppl.data.generation.making import (
     recoloured,
     reflected,
 )
-from phase_ppl.data.generation.situation import (
-    LAYOUTS,
-    SIZES,
-    Draw,
-    Situation,
-    overlaps,
-    walls_of,
-)
+from phase_ppl.data.generation.situation import LAYOUTS, SIZES, Draw, Situation, overlaps, walls_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal

@@ -31,9 +31,7 @@ def hidden(event: ppl.Event, frames: slice, bodies: Any) -> ppl.Event:
 
 
 def infer(event: ppl.Event, given: ppl.Model = QUICK) -> ppl.StepwisePosterior:
-    post = ppl.infer(event, given, workers=1, progress=False)
-    assert isinstance(post, ppl.StepwisePosterior)
-    return post
+    return ppl.infer(event, given, workers=1, progress=False)
 
 
 @pytest.fixture(scope="module")
