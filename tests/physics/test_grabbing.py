@@ -101,11 +101,6 @@ def test_attach_and_detach_do_nothing_where_there_is_nothing_to_do(start: Any) -
     assert state.pose[0, 1] < 10.0
 
 
-def test_attach_and_detach_exert_no_force(start: Any) -> None:
-    free, grabbing = (start(MIDDLE, moving=(0, (0.0, 10.0))) for _ in range(2))
-    assert np.array_equal(free.step((WAIT, WAIT)), grabbing.step((ATTACH, DETACH)))
-
-
 def test_both_agents_may_hold_the_same_item(start: Any) -> None:
     engine = start({**MIDDLE, 1: (16, 15.6), 2: (16, 13.8)})
     assert after(engine, (ATTACH, ATTACH)).held.tolist() == [2, 2]

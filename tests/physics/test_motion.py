@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.physics import compiled, constants
+from phase_ppl.physics import constants
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, NO_ACTION, Action
-from phase_ppl.physics.flat import ANGLE
-from phase_ppl.physics.welds import turn_frame
 from tests.physics.conftest import after
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
@@ -128,16 +126,6 @@ def test_free_motion_does_not_depend_on_the_number_of_inner_steps(
         engine = start({0: (12, 8, 0.3), 1: (20, 16, 2.0)}, strengths=(150, 150), inner_steps=n)
         poses.append([engine.step((action, action)) for action in actions])
     assert poses[0] == pytest.approx(np.array(poses[1]), abs=1e-9)
-
-
-@pytest.mark.parametrize("turn", [1e-9, 0.01, -0.2, 0.25, -0.2500001, 3.0])
-def test_frames_that_are_turned_stay_those_of_the_angle(turn: float) -> None:
-    scratch, bodies = compiled.make_scratch(), np.zeros((4, 9))
-    for _ in range(40):  # more than in any planner step
-        bodies[1, ANGLE] += turn
-        turn_frame(bodies, 1, turn, scratch)
-    angle = bodies[1, ANGLE]
-    assert scratch.rotation[1] == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-13)
 
 
 @pytest.mark.parametrize(("size", "strength"), [(0.8, 150.0), (1.2, 600.0)])
