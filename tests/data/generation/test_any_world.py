@@ -230,23 +230,10 @@ def test_a_family_of_ones_own_says_who_starts_where_how_large_and_strong() -> No
 
 
 @pytest.mark.usefixtures("_forgetful", "_all_are_kept")
-def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(tmp_path: Path) -> None:
     register_family("relay", scenario="collaborative", world=TRIO)(relay)
     given = {"world": "trio", "cells": {"relay": 2, "hinder": 1}, "seed": 4, **SMALL}
-    calls = iter(range(9))
-    whole = making.make
-
-    def stopping(*job: Any) -> Any:
-        if next(calls) == 1:
-            raise KeyboardInterrupt
-        return whole(*job)
-
-    monkeypatch.setattr("phase_ppl.data.generation.generate.make", stopping)
-    with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path / "set", **given)
-    made = generate(tmp_path / "set", **given, resume=True)
+    made = generate(tmp_path / "set", **given)
     again = generate(tmp_path / "again", **given)
     assert made.manifest["entries"] == again.manifest["entries"]
     assert made.manifest["kept"] == {"relay": 2, "hinder": 1}
