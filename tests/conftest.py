@@ -198,7 +198,6 @@ def unpainted() -> Iterator[None]:
 
 @pytest.fixture
 def own_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Models of social perception that a test registers are forgotten after it."""
     from phase_ppl.evaluation import registry
 
     registry.available_models()

@@ -29,7 +29,6 @@ Run = Callable[..., str]
 
 @pytest.fixture
 def figures(tmp_path: Path, run_script: Run) -> Figures:
-    """Run a benchmark with options and return the figures that it writes."""
 
     def run(script: str, *options: str) -> dict[str, Any]:
         file = tmp_path / "figures.json"

@@ -21,7 +21,6 @@ pytestmark = pytest.mark.usefixtures("unpainted")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a set and its manifest."""
     path = tmp_path / "my set"
     path.mkdir()
     events = [make_event(4, "one"), make_event(5, "two")]

@@ -68,7 +68,6 @@ def test_links_lead_to_files_and_headings_that_are_there() -> None:
 
 
 def labels(printed: str) -> set[str]:
-    """Return what stands in the first column of a printed posterior."""
     return {line[:13].strip() for line in printed.splitlines()}
 
 

@@ -32,14 +32,12 @@ def perceive(agent: Agent, where: Scene, times: int = 1) -> None:
 
 
 def perceiving(where: Scene = HIDDEN, seed: int = 0, times: int = 1) -> Agent:
-    """Return an agent that has looked at a scene so often."""
     agent = agent_in(where, GOALS, CONFIG, seed)
     perceive(agent, where, times)
     return agent
 
 
 def places(agent: Agent, item: int = BLUE) -> FloatArray:
-    """Return the different places at which an item is believed to be."""
     return np.unique(agent.beliefs.bodies[:, item, :2].round(6), axis=0)
 
 

@@ -36,7 +36,6 @@ TO_LANDMARK, TOUCH = Literal(PredicateKind.ON, 0, 2), Literal(PredicateKind.TOUC
 def search(
     where: Scene, subgoal: Literal, config: PlannerConfig = CONFIG, seed: int = 0
 ) -> RootStatistics:
-    """Return what an agent finds for a subgoal that all its particles agree with."""
     agent = agent_in(where, GOALS, config, seed)
     agent.observe(*state_of(where))
     (found,) = agent.root_statistics([Intent(subgoal, tuple(range(50)), contested=False)])

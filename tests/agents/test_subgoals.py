@@ -90,12 +90,10 @@ def door(entity: int, ray: int) -> Literal:
 
 
 def holding(rooms: tuple[int, ...], item: int = BLUE, **more: Any) -> SymbolicState:
-    """Red holds an item."""
     return state(rooms, held=(item, NOWHERE), **more)
 
 
 def both(rooms: tuple[int, ...]) -> SymbolicState:
-    """Both hold the blue item."""
     return state(rooms, held=(BLUE, BLUE))
 
 

@@ -44,7 +44,6 @@ def read(
 def by_hand(
     sets: list[list[Plans]], density: NDArray[np.float64], some: list[int], intent: int = 1
 ) -> float:
-    """Return the log likelihood as a sum over all pairs of actions."""
     red, green = (
         np.mean([POLICY.of(sets[i][agent].roots[intent]) for i in some], axis=0)
         for agent in range(2)

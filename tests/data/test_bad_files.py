@@ -24,7 +24,6 @@ from tests.world.examples import make_event
 
 
 def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str:
-    """Return the message with which ``path`` is refused: one line that names it."""
     with pytest.raises(error) as raised:
         load_event(path)
     with pytest.raises(error):

@@ -33,7 +33,6 @@ from tests.world.examples import RADIUS, START, make_event, make_scene, make_tra
 
 
 def assert_same(first: Event, second: Event) -> None:
-    """All that two events hold is equal, to the last bit."""
     assert np.array_equal(first.observation.trajectory, second.observation.trajectory)
     for name in ("start", "radius", "walls", "landmark_centres"):
         assert np.array_equal(getattr(first.scene, name), getattr(second.scene, name)), name

@@ -59,7 +59,6 @@ def video(id: str = "v1") -> dict[str, Any]:
 
 
 def put(record: Any, where: Sequence[str | int], value: Any) -> None:
-    """Change a value in a record."""
     for step in where[:-1]:
         record = record[step]
     record[where[-1]] = value

@@ -47,7 +47,6 @@ def event(
 
 @pytest.fixture
 def events() -> list[Event]:
-    """A collaborative event of 5 frames and an opposing one of 3."""
     chase = ("get to green agent", "get away from red agent")
     return [
         event(track(5, red=0.1, pink=0.2), "one"),

@@ -168,7 +168,6 @@ def table() -> FloatArray:
 
 @functools.cache
 def exact() -> FloatArray:
-    """Return (row,) the posterior of stated goals and ways, by enumeration."""
     by_seed = RadialLikelihood(n_entities=3).log_prob(table()[tuple(EFFECTIVE.T)]).sum(axis=-1)
     found = MASSES * np.exp(by_seed - by_seed.max()).mean(axis=-1)
     return np.asarray(found / found.sum())

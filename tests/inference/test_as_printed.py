@@ -30,7 +30,6 @@ PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed", unit="printed", p
 
 
 def apart(one: Any, other: Any) -> set[str]:
-    """Return the names of the fields in which two settings differ."""
     fields = [field.name for field in dataclasses.fields(one)]
     return {name for name in fields if getattr(one, name) != getattr(other, name)}
 

@@ -42,7 +42,6 @@ def whole() -> ppl.Posterior:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The file of a run of two iterations."""
     path = tmp_path_factory.mktemp("finished") / "run.ckpt"
     infer(iterations=2, checkpoint=path)
     return path.read_bytes()

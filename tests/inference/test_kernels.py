@@ -86,7 +86,6 @@ class Tiny:
         return law.reshape(HYPOTHESES, SEEDS).sum(axis=1)
 
     def transitions(self, rule: Rule) -> NDArray[np.float64]:
-        """Return the matrix over (hypothesis, seed)."""
         with jax.enable_x64(True):
             return np.asarray(_transitions(rule, self.errors, self.prior, self.proposal))
 

@@ -146,7 +146,6 @@ METHODS = [("vectorized", True), ("sequential", False)]
 
 @functools.cache
 def plain(kernel: Any) -> tuple[OpenProgram, Any]:
-    """Return a short run of two vectorised chains."""
     program = opened()
     return program, sampled(kernel(program), 12, 2)
 

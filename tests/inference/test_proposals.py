@@ -31,7 +31,6 @@ TO_RED = "Get blue item to red lm"
 
 
 def distances(observation: Observation, **more: Any) -> BottomUpTables:
-    """The paper's form of the proposal."""
     return bottom_up_tables(SCENE, observation, SimpleSettings(proposal="paper", **more))
 
 

@@ -59,8 +59,6 @@ def keys(n: int) -> jax.Array:
 
 
 class OfOnesOwn(ppl.kernels.NumpyroKernel):
-    """Another sampler of NumPyro, as a user adds it."""
-
     sims_per_step = 20
 
     def sampler(self) -> ESS:

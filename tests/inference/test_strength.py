@@ -220,7 +220,6 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
 
 
 def driving(n: int = 20, frames: int = 16) -> Simulated:
-    """Both agents go straight up, the faster the stronger; the items rest."""
     rng = np.random.default_rng(0)
     strength = rng.uniform(150, 600, (n, 2))
     trajectory = np.zeros((n, frames, 4, 3), np.float32)

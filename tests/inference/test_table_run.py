@@ -198,7 +198,6 @@ def test_a_thousand_draws_are_the_default_and_a_budget_buys_lookups() -> None:
 
 
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make every look at the clock a second."""
     ticks = itertools.count()
     for module in (run, table_run):
         monkeypatch.setattr(module, "clock", lambda: float(next(ticks)))

@@ -67,7 +67,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 
 @pytest.fixture
 def first(made: tuple[Path, Any], tmp_path: Path) -> Any:
-    """Return what the function computed, which is kept in the test's folder."""
     shutil.copytree(made[0], tmp_path, dirs_exist_ok=True)
     return made[1]
 

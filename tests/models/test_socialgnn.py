@@ -48,7 +48,6 @@ def graphs(variant: Variant = "extended", event: Event = BRINGING) -> Graphs:
 
 
 def edges(of: Graphs) -> set[tuple[int, int, int]]:
-    """Return (frame, sender, receiver) of the edges."""
     return set(map(tuple, of.edges.tolist()))
 
 
@@ -140,7 +139,6 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
 
 
 def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float16]]:
-    """Return the arrays of a network that has learned nothing."""
     rng = np.random.default_rng(seed)
     return store.halved(
         {name: rng.normal(0, 0.3, shape) for name, shape in shapes(variant).items()}

@@ -56,7 +56,6 @@ def eight() -> list[Event]:
 
 
 def make_set(folder: Path, events: Sequence[Event], splits: Sequence[str]) -> Path:
-    """Write events as a generated data set, each in its split."""
     folder.mkdir()
     save_events(events, folder / EVENTS)
     plan = Plan(cells={"collab": len(events)}).to_dict()

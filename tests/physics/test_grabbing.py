@@ -24,7 +24,6 @@ MIDDLE = {0: (16, 12)}
 
 
 def place_of(item: int, agent: int, state: State) -> NDArray[np.float64]:
-    """The item's centre in the agent's body frame."""
     offset = state.pose[item, :2] - state.pose[agent, :2]
     return np.asarray(offset @ rotation(state.pose[agent, 2]))
 

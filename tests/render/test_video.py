@@ -35,7 +35,6 @@ def read(path: Path) -> tuple[str, NDArray[np.uint8]]:
 
 
 def close(picture: NDArray[np.uint8], row: int, column: int, colour: tuple[int, ...]) -> bool:
-    """Whether a pixel has a colour, but for what video compression does to it."""
     return bool(np.abs(picture[row, column].astype(int) - colour).max() < 25)
 
 

@@ -21,7 +21,6 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 @pytest.fixture(scope="module")
 def battery() -> Iterator[ModuleType]:
-    """Return the module ``behaviour`` of the benchmarks, which are no package."""
     sys.path.insert(0, str(BENCHMARKS))
     yield importlib.import_module("behaviour")
     sys.path.remove(str(BENCHMARKS))

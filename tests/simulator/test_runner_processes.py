@@ -45,7 +45,6 @@ SLEEPER = """
 
 @contextlib.contextmanager
 def started(text: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run a script without a guard around its main part."""
     path = folder / "script.py"
     path.write_text(textwrap.dedent(text))
     process = subprocess.Popen(

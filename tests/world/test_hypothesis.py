@@ -112,7 +112,6 @@ def item_and_landmark(goal: str) -> list[str] | None:
 
 
 def expected_scenario(red: str, green: str) -> str:
-    """The definition, on the strings alone."""
     if red == green or (red, green) == ("get to green agent", "get to red agent"):
         return "collaborative"
     about_landmarks = red.startswith("Get") and green.startswith("Get")

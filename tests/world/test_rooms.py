@@ -20,7 +20,6 @@ lengths = st.tuples(*[st.sampled_from([0.0, 2.0, 5.0, 7.5, 10.0])] * 4)
 
 
 def rooms_of(*length: float) -> Rooms:
-    """Return the rooms between walls of these lengths: up, left, down, right."""
     present = {name: r for name, r in zip(DIRECTIONS, length, strict=False) if r}
     return Rooms.from_walls(walls(**present), ARENA, quadrants=True)
 
@@ -74,7 +73,6 @@ def test_a_room_behind_two_full_walls_cannot_be_reached() -> None:
 
 
 def fewest_doors(rooms: Rooms, start: int, end: int) -> int | None:
-    """Breadth-first search over the room graph."""
     reached, edge = {start: 0}, [start]
     for room in edge:
         for ray, sides in enumerate(ROOMS_OF_RAY):

@@ -31,8 +31,6 @@ EIGHT = b"C\x08" + bytes(8)
 
 
 class Trap:
-    """Its pickle, when loaded, calls a function."""
-
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self.call = function, arguments
 

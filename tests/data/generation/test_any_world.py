@@ -41,7 +41,6 @@ HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
 
 @pytest.fixture
 def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A registry that forgets what a test registers."""
     FAMILIES.names()
     monkeypatch.setattr(FAMILIES, "entries", dict(FAMILIES.entries))
 

@@ -40,7 +40,6 @@ def make(out: Path, **more: Any) -> Any:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return the files of a set with what is in them."""
     files = (file for file in folder.rglob("*") if file.is_file())
     return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 

@@ -47,14 +47,12 @@ CELLS = {"chasing": 3, "independent:LMA+LMA": 2}
 
 @pytest.fixture
 def anything_goes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every third draw is refused, all others are kept."""
     reasons = itertools.cycle([None, None, "the third"])
     monkeypatch.setattr(making, "reason_against", lambda *_: next(reasons))
 
 
 @pytest.fixture
 def all_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every draw is kept."""
     monkeypatch.setattr(making, "reason_against", lambda *_: None)
 
 
