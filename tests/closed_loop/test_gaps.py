@@ -70,18 +70,6 @@ def test_whoever_may_do_anything_unseen_may_be_anywhere_the_longer_the_more() ->
     assert spread[0] < spread[3] < spread[7]
 
 
-def test_a_missing_frame_says_nothing_of_actions_and_strengths() -> None:
-    where = near_item()
-    hidden = HiddenState(where, Tracking(strength_weight=1.0))
-    for frame, _ in played(where, CARRY[:6]):
-        hidden.advance(frame)
-    before = hidden.strengths()
-    density = hidden.advance(np.full((4, 3), np.nan), policies=[STILL, STILL])
-    np.testing.assert_allclose(density, 0.0, atol=1e-9)
-    np.testing.assert_allclose(hidden.strengths(), before, atol=1e-9)
-    assert hidden.log_peak == 0
-
-
 def test_whole_turns_that_a_tracker_adds_while_an_angle_is_unseen_do_not_matter() -> None:
     where, doing = near_item(), [(Action.TURN_LEFT, Action.STOP)] * 8
     frames, found, angles = [frame for frame, _ in played(where, doing)], [], set()

@@ -84,6 +84,7 @@ def sampled(
     *,
     warmup: int = 0,
     bar: bool = False,
+    keys: jax.Array = KEY,
 ) -> Any:
     mcmc = MCMC(
         kernel,
@@ -93,7 +94,7 @@ def sampled(
         chain_method=method,
         progress_bar=bar,
     )
-    mcmc.run(KEY)
+    mcmc.run(keys)
     return mcmc
 
 
@@ -178,15 +179,9 @@ def test_draws_are_those_of_infer() -> None:
     post = ppl.infer(EVENT, MODEL, **OPTIONS)
     number = int(np.random.SeedSequence(OPTIONS["seed"]).generate_state(1)[0])
     with ppl.program(EVENT, MODEL, workers=1) as program:
-        mcmc = MCMC(
-            ppl.kernels.PriorMH(program),
-            num_warmup=0,
-            num_samples=OPTIONS["iterations"],
-            num_chains=OPTIONS["chains"],
-            chain_method="vectorized",
-            progress_bar=False,
-        )
-        mcmc.run(random.split(random.key(number), OPTIONS["chains"]))
+        n, chains = OPTIONS["iterations"], OPTIONS["chains"]
+        keys = random.split(random.key(number), chains)
+        mcmc = sampled(ppl.kernels.PriorMH(program), n, chains, keys=keys)
     again = ppl.Posterior.from_numpyro(mcmc)
     for name, values in post.tree["posterior"].dataset.items():
         np.testing.assert_allclose(again.tree["posterior"][name], values, 1e-5, err_msg=str(name))

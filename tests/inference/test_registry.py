@@ -32,16 +32,6 @@ def test_a_kernel_says_what_it_is_and_is_made_by_name_with_its_options(
     assert kernel.validity == "approximate"
 
 
-def test_missing_needs_and_unknown_options_are_named(program: EventProgram) -> None:
-    for name, options, message in (
-        ("local_mh", {}, "guide"),
-        ("local_mh", {"guide": None, "settings": None, "speed": 3}, "speed"),
-        ("prior_mh", {"guide": None}, "guide"),
-    ):
-        with pytest.raises(InvalidSettingError, match=message):
-            kernel_info(name).make(program, **options)
-
-
 def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
     monkeypatch: pytest.MonkeyPatch, program: EventProgram
 ) -> None:

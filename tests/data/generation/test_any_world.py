@@ -300,13 +300,10 @@ def roles(green: str, relation: str | None = None, red: str = HOME) -> Hypothesi
     return Hypothesis.of(TRIO, {**goals, "green agent": green})
 
 
-FAR = {**dict.fromkeys(PAIRS, NEAR), "red & purple": 0.5}
 KEPT: list[tuple[str, Hypothesis, dict[str, Any], str | None]] = [
     ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
-    ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
     ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
     ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
-    ("opposing", roles("", "hinder"), {"closest": FAR}, "never come"),
     ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
 ]
 
