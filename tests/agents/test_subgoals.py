@@ -153,7 +153,6 @@ OWN: dict[str, Rule] = {
     "stop at the landmark": (TO_BLUE, [(state(own_done=True), UNSEEN, STOP)]),
     "let go of an item before going to a landmark": (
         TO_BLUE, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
-    "touch an item in the same room": (BRING, [(state(), UNSEEN, touch(RED, BLUE))]),
     "go to the room of an item out of view, and head straight for one in view": (FETCH, [
         (state(), UNSEEN, close(RED, BL)),
         (state(), IN_VIEW, touch(RED, PINK)),
@@ -162,8 +161,6 @@ OWN: dict[str, Rule] = {
         (reach(START), IN_VIEW, attach(RED, BLUE)),
         (holding(START), IN_VIEW, close(BLUE, BL)),
     ]),
-    "let go of the item that is not wanted": (
-        BRING, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
     "place an item in the room of its landmark, before its holder is there too": (BRING, [
         (holding((BR, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
         (holding((BL, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),

@@ -8,6 +8,7 @@ import json
 import pickle
 import shutil
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,22 @@ def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path, whole: Genera
     (tmp_path / "set" / "manifest.json").write_text("{")
     with pytest.raises(InvalidEventError, match=r"manifest\.json"):
         ppl.load_events(tmp_path / "set")
+
+
+@pytest.mark.usefixtures("all_go")
+def test_an_executor_that_is_shut_down_leaves_what_another_can_finish(
+    tmp_path: Path, whole: GeneratedEvents
+) -> None:
+    given = {name: value for name, value in QUICK.items() if name != "workers"}
+    with ThreadPoolExecutor(1) as executor:
+        pass
+    with pytest.raises(SimulationError, match=r"no more work.*5 of 5 .*resume goes on"):
+        generate(tmp_path / "set", cells=CELLS, executor=executor, **given)
+    with ThreadPoolExecutor(1) as executor:
+        made = generate(tmp_path / "set", cells=CELLS, executor=executor, resume=True, **given)
+    assert made.entries == whole.entries
+    one, other = ((found.path / "events.json").read_bytes() for found in (made, whole))
+    assert one == other
 
 
 @pytest.mark.usefixtures("all_go")

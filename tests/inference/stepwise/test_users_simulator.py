@@ -16,6 +16,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.closed_loop import users_simulator
+from phase_ppl.closed_loop.kernel_density import log_density
 from phase_ppl.inference.table_run import ReadTable
 from phase_ppl.models import prior_masses, sites, world_priors
 from phase_ppl.world.arrays import FloatArray
@@ -327,3 +328,14 @@ def test_kernels_are_told_what_was_read(exact: ppl.StepwisePosterior) -> None:
     assert other - one == pytest.approx(found)
     assert np.isinf(unread)
     assert told.log_likelihood_without(goals, newtons) is None, "a density of one's own is exact"
+
+
+def test_what_never_moves_has_the_floor_and_noise_adds_to_it() -> None:
+    still = np.zeros((1, 40, 4))
+    at = np.array([0.0, 0.03, 0.0, 0.0])
+    for noise in (0.0, 0.04):
+        variance = 0.02**2 + noise**2
+        found, far = log_density(still, at, 0.02, noise)
+        expected = -0.5 * 0.03**2 / variance - 2 * np.log(2 * np.pi * variance)
+        np.testing.assert_allclose(found, expected)
+        assert far == pytest.approx(0.5 * 0.03**2 / variance)
