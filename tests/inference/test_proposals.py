@@ -222,7 +222,7 @@ def test_tables_are_those_of_the_joint_distribution() -> None:
     goal, alpha = joint_logits(scores)
     expected = np.zeros((N_GOALS, N_GOALS, len(ALPHAS)))
     for red, green, index in np.ndindex(expected.shape):
-        if not (sites.SELF_REFERRING[RED, red] or SELF_REFERRING[GREEN, green]):
+        if not (sites.SELF_REFERRING[RED, red] or sites.SELF_REFERRING[GREEN, green]):
             goals = effective_goals(red, green, ALPHAS[index])
             together = scores[RED, goals[0]] + scores[GREEN, goals[1]]
             expected[red, green, index] = sites.ALPHA_PROBABILITIES[index] * np.exp(together)
