@@ -81,9 +81,7 @@ def late(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
     ("simulator", "message"),
     [(unseeded, "another result for the same seed"), (late, "2 units off the start of the scene")],
 )
-def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
-    simulator: Any, message: str
-) -> None:
+def test_an_unsound_simulator_is_told_of_once(simulator: Any, message: str) -> None:
     options = {**OPTIONS, "iterations": 1, "weights": "count"}
     with pytest.warns(UserWarning, match=message):
         post = ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)

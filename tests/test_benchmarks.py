@@ -101,9 +101,7 @@ def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: 
     assert min(map(int, report["raters"])) >= 4
 
 
-def test_answers_called_decided_are_compared_with_the_truth(
-    tmp_path: Path, figures: Figures
-) -> None:
+def test_decided_answers_are_compared_with_the_truth(tmp_path: Path, figures: Figures) -> None:
     post = StepwisePosterior(reading())
     leaders = {name: one["label"] for name, one in post.leaders().items()}
     assert leaders["goal_red"] == leaders["goal_green"] == "Get blue item to red lm"

@@ -64,9 +64,7 @@ def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
     assert "collaborate: 1 event\n" in told(capsys, "describe", "collaborate")
 
 
-def test_what_is_no_set_or_a_damaged_one_is_named(
-    folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_what_is_no_set_or_damaged_is_named(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     for manifest, word in (("{", "manifest.json"), ('{"entries": 1}', "entries")):
         (folder / "manifest.json").write_text(manifest)
         assert word in fails(capsys, "describe", folder)

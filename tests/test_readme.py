@@ -116,9 +116,7 @@ def test_the_readmes_further_lines_sample_and_compare(
     assert (tmp_path / "why.mp4").stat().st_size > 1000
 
 
-def test_the_readmes_scene_is_simulated_and_drawn(
-    tmp_path: Path, run_script: Callable[..., str]
-) -> None:
+def test_the_readmes_scene_is_drawn(tmp_path: Path, run_script: Callable[..., str]) -> None:
     *_, shown = examples(README)
     run_script(saved(shown.replace("frames=50", "frames=8"), tmp_path))
     for name in ("helps.png", "hinders.png"):

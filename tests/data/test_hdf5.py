@@ -136,9 +136,7 @@ TRICKS: dict[str, list[Change]] = {
 
 
 @pytest.mark.parametrize("message", TRICKS)
-def test_a_file_made_to_do_harm_is_refused_unread(
-    tmp_path: Path, saved: Path, message: str
-) -> None:
+def test_a_harmful_file_is_refused_unread(tmp_path: Path, saved: Path, message: str) -> None:
     for change in TRICKS[message]:
         posterior = Path(shutil.copy(saved, tmp_path))
         with h5py.File(posterior, "r+") as file:

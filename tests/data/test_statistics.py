@@ -98,9 +98,7 @@ def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -
     assert found.loc["frames", "error"].isna().tolist() == [True, False, True]
 
 
-def test_a_generated_set_tells_of_copies_families_and_splits(
-    events: list[Event], tmp_path: Path
-) -> None:
+def test_generated_sets_tell_of_copies_families_splits(events: list[Event], tmp_path: Path) -> None:
     found = statistics(made(events, tmp_path))
     assert (found.attrs["events"], found.attrs["units"]) == (2, 1)
     assert found.loc[("speed", "mean"), "error"] != found.loc[("speed", "mean"), "error"]  # NaN
@@ -117,9 +115,7 @@ def test_the_standard_error_of_a_mean_is_the_textbooks() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_card_draws_shares_beside_those_of_the_original_events(
-    events: list[Event], tmp_path: Path
-) -> None:
+def test_the_card_draws_shares_beside_the_originals(events: list[Event], tmp_path: Path) -> None:
     found = statistics(made(events, tmp_path))
     figure = ppl.plot.data_card(found, tmp_path / "card.png")
     assert (tmp_path / "card.png").exists()

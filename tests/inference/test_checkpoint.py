@@ -227,9 +227,7 @@ def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(
         assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_full_disk_ends_the_run_but_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, write = tmp_path / "run.ckpt", checkpoint.write_checkpoint
 
     def full(*given: Any) -> None:
@@ -317,9 +315,7 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.mark.parametrize("make", HOSTILE.values(), ids=HOSTILE)
-def test_a_foreign_or_hostile_file_is_one_clear_error(
-    make: Callable[[bytes], bytes], path: Path
-) -> None:
+def test_a_hostile_file_is_one_clear_error(make: Callable[[bytes], bytes], path: Path) -> None:
     content = make(path.read_bytes())
     path.write_bytes(content)
     said = r"run.ckpt is no checkpoint, or a damaged one"

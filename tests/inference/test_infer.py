@@ -63,9 +63,7 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
 
-def test_the_prior_of_a_simulation_is_that_of_all_that_would_be_simulated_alike(
-    post: ppl.Posterior,
-) -> None:
+def test_the_prior_of_a_simulation_is_that_of_all_simulated_alike(post: ppl.Posterior) -> None:
     found = post.tree["simulations"].dataset
     of_pairs = post.tree["constant_data"]["prior_of_pairs"].values
     mass = of_pairs[found["goal_red"], found["goal_green"]]  # strengths are even on 450 N

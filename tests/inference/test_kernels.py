@@ -119,9 +119,7 @@ def _transitions(rule: Rule, errors: jax.Array, prior: jax.Array, proposal: jax.
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_exact_rules_leave_the_posterior_invariant_and_the_printed_one_something_else(
-    seed: int,
-) -> None:
+def test_exact_rules_leave_the_posterior_invariant_the_printed_one_does_not(seed: int) -> None:
     tiny = Tiny(seed)
     for rule in EXACT_RULES:
         assert total_variation(tiny.stationary(rule), tiny.posterior()) < 1e-6, rule

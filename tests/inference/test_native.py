@@ -98,9 +98,7 @@ def sampled(
     return mcmc
 
 
-def test_a_trace_is_a_hypothesis_a_seed_and_the_errors_of_their_simulation(
-    program: OpenProgram,
-) -> None:
+def test_a_trace_is_a_hypothesis_a_seed_and_their_errors(program: OpenProgram) -> None:
     trace = handlers.trace(handlers.seed(program, KEY)).get_trace()
     value = {name: site["value"] for name, site in trace.items()}
     (record,) = program.records
@@ -217,9 +215,7 @@ def test_aies_runs_on_uniform_numbers(program: OpenProgram) -> None:
 
 
 @pytest.mark.parametrize("handler", [handlers.condition, handlers.substitute, handlers.do])
-def test_a_handler_cannot_give_what_a_sampler_does_not_ask_it_for(
-    handler: Any, program: OpenProgram
-) -> None:
+def test_a_handler_cannot_give_what_no_sampler_asks_for(handler: Any, program: OpenProgram) -> None:
     """NumPyro would ignore it, or show a hypothesis that was not simulated."""
     for name in ("goal_red", "sim_seed"):
         mcmc = MCMC(AIES(handler(program.uniform, {name: jnp.int32(5)})), num_warmup=0,

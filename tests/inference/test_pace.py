@@ -120,9 +120,7 @@ def test_equal_frames_are_more_simulations_where_they_are_stopped_early() -> Non
 
 
 @pytest.mark.parametrize("budget", [ppl.simulations(60), ppl.frames(500)])
-def test_a_budget_goes_on_bit_for_bit(
-    budget: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_budget_goes_on(budget: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options: dict[str, Any] = {"iterations": None, "budget": budget}
     whole = infer(**options)
     path = tmp_path / "run.ckpt"
@@ -169,8 +167,6 @@ def test_a_kernel_knows_better_than_its_registration_what_it_costs_and_may_decid
         (OWN, {"iterations": 2}, r"iterations=2.*'mine'.*takes 1"),
     ],
 )
-def test_a_length_that_cannot_be_is_refused(
-    kernel: Any, given: dict[str, Any], message: str
-) -> None:
+def test_impossible_lengths_are_refused(kernel: Any, given: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         length_of(kernel, 10, **given)

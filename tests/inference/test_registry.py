@@ -19,9 +19,7 @@ def program() -> EventProgram:
     return table_program(TableRunner(table_errors()))[0]
 
 
-def test_a_kernel_says_what_it_is_and_is_made_by_name_with_its_options(
-    program: EventProgram,
-) -> None:
+def test_a_kernel_says_what_it_is_and_is_made_by_name_and_options(program: EventProgram) -> None:
     info = kernel_info("local_mh")
     assert info_of(info.factory) is info
     assert (info.validity, info.sims_per_step) == ("exact", 1)

@@ -187,9 +187,7 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     np.testing.assert_array_equal(states.n_accepted[-1], states.accepted.sum(axis=0))
 
 
-def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stopped(
-    name: str,
-) -> None:
+def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stops(name: str) -> None:
     _, runner, bridge = run(name)
     promised, steps = kernel_info(name).sims_per_step, BLOCKS * BLOCK
     assert max(map(len, runner.batches)) <= promised * CHAINS

@@ -193,9 +193,7 @@ def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
         ("0/edge.bias", np.array([{}] * 64), "Object arrays cannot be loaded"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_reason(
-    name: str, array: Any, message: str, tmp_path: Path
-) -> None:
+def test_a_damaged_file_is_refused(name: str, array: Any, message: str, tmp_path: Path) -> None:
     arrays = {f"0/{n}": a for n, a in random_member("original").items()} | {name: array}
     file = tmp_path / "original.npz"
     np.savez(file, **{n: a for n, a in arrays.items() if a is not None})

@@ -143,9 +143,7 @@ def test_nobody_is_so_small_for_its_speed_that_it_passes_a_wall(
     assert furthest > 14.0
 
 
-def test_a_body_too_small_for_any_division_is_refused_with_the_size_that_would_do(
-    start: Any,
-) -> None:
+def test_a_body_too_small_is_refused_with_the_size_that_would_do(start: Any) -> None:
     with pytest.raises(InvalidSettingError, match=r"size 0\.02 is too small .* 600 N") as raised:
         start({}, {0: 0.02}, strengths=(600.0, 600.0))
     needed = float(re.findall(r"at least ([\d.]+)", str(raised.value))[0])

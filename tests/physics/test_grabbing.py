@@ -134,9 +134,7 @@ def test_a_weak_agent_can_swing_an_item_and_a_stronger_one_drags_it(start: Any) 
 
 
 @pytest.mark.parametrize("pushes", [(UP, UP), (DOWN, DOWN), (UP, DOWN), (DOWN, UP)])
-def test_two_strength_zero_agents_with_one_item_stand_still(
-    start: Any, pushes: tuple[Action, Action]
-) -> None:
+def test_two_weak_agents_with_one_item_rest(start: Any, pushes: tuple[Action, Action]) -> None:
     # together 300 N against the friction of three bodies, 300 N
     engine = start({0: (16, 10), 1: (16, 13.2), 2: (16, 11.6)}, strengths=(150, 150))
     before = after(engine, (ATTACH, ATTACH)).pose

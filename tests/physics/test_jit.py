@@ -93,9 +93,7 @@ def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
-def test_a_damaged_cache_is_named_and_made_anew(
-    load: Any, tmp_path: Path, suffix: str, damage: str
-) -> None:
+def test_a_damaged_cache_is_made_anew(load: Any, tmp_path: Path, suffix: str, damage: str) -> None:
     load()
     (file,) = tmp_path.glob(f"cache/**/*.{suffix}")
     content = file.read_bytes()
@@ -107,9 +105,7 @@ def test_a_damaged_cache_is_named_and_made_anew(
     assert load() == (0, 1)
 
 
-def test_a_cache_that_cannot_be_written_is_done_without(
-    load: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unwritable_cache_is_done_without(load: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

@@ -41,9 +41,7 @@ def test_bodies_have_the_masses_of_their_areas() -> None:
 
 @pytest.mark.parametrize("strength", STRENGTHS)
 @pytest.mark.parametrize("size", SIZES)
-def test_driving_straight_accelerates_by_force_less_friction(
-    start: Any, size: float, strength: float
-) -> None:
+def test_driving_gains_by_force_less_friction(start: Any, size: float, strength: float) -> None:
     state = after(start({0: (16, 5)}, {0: size}, strengths=(strength, 150.0)), (UP, WAIT))
     acceleration = (strength - 100.0) / (4.0 * size**2)
     assert state.velocity[0] == pytest.approx([0.0, acceleration / 12.0], abs=1e-9)
@@ -96,9 +94,7 @@ def test_actions_without_force_leave_a_coasting_agent_coasting(start: Any) -> No
         assert state.velocity[0, 1] == pytest.approx(20.0 - 100.0 / 2.56 / 12.0, abs=1e-9)
 
 
-def test_force_acts_in_the_direction_the_body_faces_and_sideways_turns_it_a_little(
-    start: Any,
-) -> None:
+def test_force_acts_where_the_body_faces_and_sideways_turns_it_a_little(start: Any) -> None:
     vx, vy = after(start({0: (16, 12, -math.pi / 2)}), (UP, WAIT)).velocity[0]
     assert vx > 5.0
     assert vy == pytest.approx(0.0, abs=1e-9)
@@ -117,9 +113,7 @@ def test_frame_is_the_mean_over_the_five_substeps(start: Any) -> None:
 
 
 @pytest.mark.parametrize("inner_steps", [2, 4])
-def test_free_motion_does_not_depend_on_the_number_of_inner_steps(
-    start: Any, inner_steps: int
-) -> None:
+def test_free_motion_does_not_depend_on_inner_steps(start: Any, inner_steps: int) -> None:
     actions = [UP, TURN_LEFT, Action.UP_RIGHT, Action.LEFT, Action.TURN_RIGHT]
     poses = []
     for n in (1, inner_steps):

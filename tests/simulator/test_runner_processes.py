@@ -149,9 +149,7 @@ def test_closing_leaves_no_worker_and_nothing_that_a_simulator_has_started(tmp_p
 
 
 @pytest.mark.parametrize("after", ["all workers began", "the first worker started"])
-def test_ctrl_c_ends_a_script_and_its_workers_without_a_word_from_them(
-    tmp_path: Path, after: str
-) -> None:
+def test_ctrl_c_ends_a_script_and_its_workers_in_silence(tmp_path: Path, after: str) -> None:
     with started(SLEEPER, tmp_path) as process:
         began = after == "all workers began"
         wait_until(lambda: len(workers_in(tmp_path)) == 2 if began else _children(process.pid))
@@ -181,9 +179,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
         wait_until(lambda: not any(is_alive(pid) for pid in workers_in(tmp_path)))
 
 
-def test_a_script_needs_no_guard_and_is_not_kept_alive_by_runners_that_it_never_closed(
-    tmp_path: Path,
-) -> None:
+def test_a_script_needs_no_guard_and_is_not_kept_alive_by_open_runners(tmp_path: Path) -> None:
     text = """
         import dataclasses
         import numpy as np

@@ -85,9 +85,7 @@ def fewest_doors(rooms: Rooms, start: int, end: int) -> int | None:
 
 @settings(max_examples=60)
 @given(lengths)
-def test_routes_use_the_fewest_doors_and_are_the_same_both_ways(
-    wall_lengths: tuple[float, ...],
-) -> None:
+def test_routes_use_fewest_doors_and_are_alike_both_ways(wall_lengths: tuple[float, ...]) -> None:
     rooms = rooms_of(*wall_lengths)
     for start, end in itertools.product(range(4), repeat=2):
         route, back = rooms.route(start, end), rooms.route(end, start)

@@ -103,9 +103,7 @@ ARRAYS = [
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_arrays_and_numbers_are_read_as_they_were_and_what_is_shared_every_time(
-    protocol: int,
-) -> None:
+def test_arrays_and_numbers_are_read_as_they_were_and_what_is_shared_too(protocol: int) -> None:
     for one, back in zip(ARRAYS, unpickled(pickle.dumps(ARRAYS, protocol)), strict=True):
         np.testing.assert_array_equal(one, back)
         assert one.dtype == back.dtype.newbyteorder(one.dtype.byteorder)

@@ -159,9 +159,7 @@ def test_the_manifest_says_how_each_event_and_its_copies_were_made(tmp_path: Pat
         np.testing.assert_allclose(ways, np.broadcast_to(ways[0], (4, 4)))
 
 
-def test_what_no_draw_makes_good_is_given_up_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_no_draw_makes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = "independent:LMA+LMA"
     monkeypatch.setattr(
         making, "reason_against", lambda shown, *_: shown if shown == "independent" else None
@@ -302,9 +300,7 @@ def test_bad_settings_are_named_before_anything_is_written(tmp_path: Path) -> No
     assert not (tmp_path / "set").exists()
 
 
-def test_models_are_evaluated_on_a_split(
-    whole: GeneratedEvents, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_split_is_evaluated(whole: GeneratedEvents, capsys: pytest.CaptureFixture[str]) -> None:
     found = ppl.all_events(whole.path, "test")
     assert len(found) == len(whole.split("test")) == 1
     arguments = ["evaluate", str(whole.path), "--model", "last_frame", "--split"]

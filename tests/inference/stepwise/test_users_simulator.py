@@ -97,9 +97,7 @@ def exact() -> ppl.StepwisePosterior:
     return infer(Knows())
 
 
-def test_by_its_density_the_posterior_is_the_sum_over_all_hypotheses(
-    exact: ppl.StepwisePosterior,
-) -> None:
+def test_by_density_the_posterior_is_a_sum_over_hypotheses(exact: ppl.StepwisePosterior) -> None:
     levels, masses = (150.0, 300.0, 450.0, 600.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
     of_red = dict[str, float]()
     friendly = strength = early = total = total_early = 0.0
