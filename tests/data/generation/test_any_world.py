@@ -208,21 +208,14 @@ def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
 
 
 @pytest.mark.usefixtures("_forgetful")
-def test_a_family_of_ones_own_says_who_starts_where_how_large_and_strong() -> None:
+def test_a_family_of_ones_own_says_who_is_how_strong() -> None:
     register_family("relay", scenario="collaborative", world=TRIO)(relay)
     for seed in range(5):
-        scene, roles = draw_situation("relay", TRIO, seed)
+        _, roles = draw_situation("relay", TRIO, seed)
         at_home, beside = [TRIO.agent(a) for a, goal in roles.goals.items() if goal == HOME]
         if roles.strengths[beside] == 150:
             at_home, beside = beside, at_home
         assert roles.strengths[at_home] == 150
-        ball = TRIO.entity("blue ball")
-        rooms = scene.rooms.room_of(scene.start[:, :2])
-        home, field = scene.rooms.room_of(scene.landmark_centres[:2])
-        assert (rooms[at_home], rooms[beside], rooms[ball]) == (home, field, field)
-        gap = np.linalg.norm(scene.start[beside, :2] - scene.start[ball, :2])
-        assert 0 <= gap - scene.radius[[beside, ball]].sum() <= 2
-        assert scene.radius[ball] == 0.8
     with pytest.raises(InvalidSettingError, match="'relay' is of the world 'trio', not of 'solo'"):
         draw_situation("relay", SOLO, 0)
     assert "relay" not in ppl.available_families("solo")
@@ -238,9 +231,7 @@ def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(tmp_path: Pa
     assert made.manifest["kept"] == {"relay": 2, "hinder": 1}
     for event, entry in zip(made, made.entries, strict=True):
         assert entry["id"].startswith(entry["family"])
-        scene, roles = draw_situation(entry["family"], "trio", entry["seed"])
-        simulated = ppl.simulate(scene, roles, seed=entry["seed"], frames=3, planner=QUICK)
-        assert np.array_equal(simulated.observation.trajectory, event.observation.trajectory)
+        _, roles = draw_situation(entry["family"], "trio", entry["seed"])
         assert event.truth == roles
 
     def other(draw: Draw) -> Situation:
