@@ -180,8 +180,6 @@ OWN: dict[str, Rule] = {
         (state(), UNSEEN, touch(RED, GREEN, positive=False)),
         (holding(START), IN_VIEW, let_go(RED, BLUE)),
     ]),
-    "keep away from a landmark": (
-        of("Get red agent away from red lm"), [(state(), UNSEEN, off(RED, BR))]),
     "without inner walls go to the landmark itself": (
         {**TO_RED, "walls": []}, [(state(ONE_ROOM), UNSEEN, on(RED, BR))]),
     "without inner walls place the item at once": (

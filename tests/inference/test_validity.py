@@ -222,10 +222,8 @@ def test_proposals_are_kept_with_the_density_that_they_are_drawn_from(name: str)
 
 
 def test_a_start_is_kept_with_the_density_that_it_is_drawn_from() -> None:
-    bridge, keys = (
-        SimulatorBridge(toy.TableRunner(ERRORS), toy.N_FRAMES),
-        random.split(KEYS[0], 2000),
-    )
+    bridge = SimulatorBridge(toy.TableRunner(ERRORS), toy.N_FRAMES)
+    keys = random.split(KEYS[0], 2000)
     supplies()
     start = compiled_quickly(lambda keys, handle: kernel("local_mh", handle).init(keys, 0))
     jax.block_until_ready(start(keys, jnp.asarray(bridge.handle)))

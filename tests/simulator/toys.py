@@ -105,16 +105,14 @@ class KillsItsWorker:
 class Slips:
     """Leaves files where it travels to a process and warms up; tells its process if weak.
 
-    It cannot be loaded where it is told so, and fails if it runs cold.
+    It fails if it runs cold.
     """
 
-    def __init__(self, folder: Path, loads: bool = True) -> None:
-        self.folder, self.loads = folder, loads
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        if not self.loads:
-            raise ImportError("no such engine here")
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
     def warm_up(self) -> None:
