@@ -87,6 +87,7 @@ def test_a_video_becomes_an_event_by_the_names_in_it(tmp_path: Path) -> None:
     assert np.array_equal(event.scene.landmark_centres, LANDMARK_CENTRES)
     assert event.scene.radius.tolist() == RADIUS
     assert event.scene.rooms.wall_length.tolist() == [10, 7.5, 0, 0]
+    assert event.truth is not None
     assert (event.truth.goal_red, event.truth.scenario) == ("Get blue item to red lm", "competing")
     assert (event.truth.strength_red, event.truth.strength_green) == (600.0, 150.0)
     assert event.judgments == {"relation_counts": {"friendly": 1, "neutral": 2, "adversarial": 9}}
@@ -129,6 +130,7 @@ def test_all_published_videos_are_read_originals_turning_left_and_reflected_copi
         assert event.id == record["id"]
         assert event.observation.trajectory[:, 2].tolist() == rows["blue item"]
         assert event.observation.n_frames == record["observed"]["n_frames"]
+        assert event.truth is not None
         assert event.truth.goal_green == record["truth"]["goals"]["green agent"]
         level = record["truth"]["strength_id"]["red agent"]
         assert event.truth.strength_red == 150.0 * (level + 1)

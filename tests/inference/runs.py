@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.simulator.contract import Cancelled, SimulationResult
+from phase_ppl.simulator.contract import Cancelled
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.inference.toy import walkers, walking_event
@@ -47,10 +47,10 @@ class Watched(Runner):
     def before(self, call: int, requests: int) -> None:
         """May raise, or count the requests."""
 
-    def run(self, hypotheses: Sequence[Hypothesis], *given: Any) -> list[SimulationResult]:
+    def run(self, hypotheses: Sequence[Hypothesis], *given: Any, **more: Any) -> Any:
         self.calls += 1
         self.before(self.calls, len(hypotheses))
-        return super().run(hypotheses, *given)
+        return super().run(hypotheses, *given, **more)
 
 
 def stops_at(call: int) -> type[Runner]:

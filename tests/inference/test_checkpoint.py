@@ -171,6 +171,7 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     # 12 before the iteration that was cut off, 3 of it, then the rest, and two rivals a chain
     assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8 + 8
     post = ppl.load_posterior(tmp_path / "run.nc")
+    assert isinstance(post, ppl.Posterior)
     assert_same_draws(whole.tree, post.tree)
 
 
