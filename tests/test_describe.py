@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from pathlib import Path
 
@@ -10,9 +9,8 @@ import pandas as pd
 import pytest
 
 import phase_ppl
-from phase_ppl.data.events_json import checksum
-from phase_ppl.data.generated import MANIFEST_SCHEMA
 from tests.data.authors.pickles import processed
+from tests.models.walks import make_set
 from tests.test_cli import Capture, fails, told
 from tests.world.examples import make_event
 
@@ -21,19 +19,10 @@ pytestmark = pytest.mark.usefixtures("unpainted")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    path = tmp_path / "my set"
-    path.mkdir()
     events = [make_event(4, "one"), make_event(5, "two")]
-    phase_ppl.save_events(events, path / "events.json")
-    told = ({"family": "compete"}, {"group": "one"})
-    entries = [
-        {"id": event.id, "split": "train", "checksum": checksum(event), **more}
-        for event, more in zip(events, told, strict=True)
-    ]
-    record = {"schema": MANIFEST_SCHEMA, "entries": entries, "kept": {"compete": 1}}
-    record["rejected"] = {"compete": {"dull": 3}}
-    (path / "manifest.json").write_text(json.dumps(record))
-    return path
+    more = [{"family": "compete"}, {"group": "one"}]
+    made = {"kept": {"compete": 1}, "rejected": {"compete": {"dull": 3}}}
+    return make_set(tmp_path / "my set", events, ["train"] * 2, more, **made)
 
 
 def test_it_prints_a_table_and_writes_it_with_card_and_sheet(

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
-from phase_ppl.data.events_json import checksum
-from phase_ppl.data.generated import MANIFEST_SCHEMA, GeneratedEvents
+from phase_ppl.data.generated import GeneratedEvents
 from phase_ppl.data.motion import seems_to_hold
 from phase_ppl.data.statistics import GOAL_TYPES, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError
@@ -20,6 +19,7 @@ from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import rotation
 from phase_ppl.world.goals import GOALS
 from tests.analysis.pages import texts_apart
+from tests.models.walks import make_set
 from tests.world.examples import DEV, make_scene, needs_dev
 
 START = np.array([[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]])
@@ -56,18 +56,11 @@ def events() -> list[Event]:
 
 def made(events: list[Event], tmp_path: Path) -> GeneratedEvents:
     """Return them as a generated set: the second is a copy of the first."""
-    ppl.save_events(events, tmp_path / "events.json")
-    told = [
-        {"family": "collab", "layout": 10, "split": "train", "reflection": "none"},
-        {"family": "chasing", "layout": 8, "split": "mine", "reflection": "up-down"},
+    told: list[dict[str, Any]] = [
+        {"group": "one", "family": "collab", "layout": 10, "reflection": "none"},
+        {"group": "one", "family": "chasing", "layout": 8, "reflection": "up-down"},
     ]
-    entries = [
-        {"id": event.id, "group": "one", "checksum": checksum(event), **entry}
-        for event, entry in zip(events, told, strict=True)
-    ]
-    record = {"schema": MANIFEST_SCHEMA, "entries": entries}
-    (tmp_path / "manifest.json").write_text(json.dumps(record))
-    return GeneratedEvents(tmp_path)
+    return GeneratedEvents(make_set(tmp_path, events, ["train", "mine"], told))
 
 
 def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -> None:
