@@ -67,23 +67,20 @@ def test_what_a_search_finds_does_not_depend_on_what_else_is_searched() -> None:
         assert alone.best == together[index].best
 
 
-@pytest.mark.parametrize(
-    ("red", "green"),
-    [
+def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal() -> None:
+    for red, green in [
         ("Get blue item to red lm", "Get blue item to red lm"),
         ("Get blue item to red lm", "Get blue item away from red lm"),
         ("Get green agent to yellow lm", "Get green agent to yellow lm"),
         ("get to green agent", "get away from red agent"),
-    ],
-)
-def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal(red: str, green: str) -> None:
-    goals = goal_index(red), goal_index(green)
-    policies = Policies(0, MODEL, CONFIG, seed=3)
-    agent = Agent(0, goals, MODEL, CONFIG, np.random.default_rng([3, 0]))
-    for one in (policies, agent):
-        one.observe(*state_of(WHERE))
-    place = policies.intent_of[goals[0] * N_GOALS + goals[1]]
-    assert policies.intents[place] == agent.intent
+    ]:
+        goals = goal_index(red), goal_index(green)
+        policies = Policies(0, MODEL, CONFIG, seed=3)
+        agent = Agent(0, goals, MODEL, CONFIG, np.random.default_rng([3, 0]))
+        for one in (policies, agent):
+            one.observe(*state_of(WHERE))
+        place = policies.intent_of[goals[0] * N_GOALS + goals[1]]
+        assert policies.intents[place] == agent.intent
 
 
 def drawn_goals(rng: np.random.Generator, n: int) -> list[tuple[int, ...]]:

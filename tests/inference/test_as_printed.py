@@ -116,16 +116,13 @@ def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() 
     assert asked < 20 * 13, "what has no prior mass is not simulated"
 
 
-@pytest.mark.parametrize(
-    "kernel",
-    [
+def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior() -> None:
+    for kernel in [
         *(lambda *given, rule=rule: LocalMH(*given, rule=rule) for rule in ("exact", "window")),
         *(Importance, SMC),
-    ],
-)
-def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior(kernel: Any) -> None:
-    settings = ppl.SimpleSettings(prior_share=0.0)
-    program, _bridge = toy.table_program(toy.TableRunner(toy.table_errors()))
-    with pytest.raises(InvalidSettingError, match=r"prior_share=0 for .*rule='paper'"):
-        _ = kernel(program, guide(0.0), settings).guide
-    assert LocalMH(program, guide(0.0), settings, rule="paper").guide
+    ]:
+        settings = ppl.SimpleSettings(prior_share=0.0)
+        program, _bridge = toy.table_program(toy.TableRunner(toy.table_errors()))
+        with pytest.raises(InvalidSettingError, match=r"prior_share=0 for .*rule='paper'"):
+            _ = kernel(program, guide(0.0), settings).guide
+        assert LocalMH(program, guide(0.0), settings, rule="paper").guide

@@ -156,17 +156,14 @@ def test_a_kernel_knows_better_than_its_registration_what_it_costs_and_may_decid
     assert length_of(OWN, 4, 3).iterations == 3
 
 
-@pytest.mark.parametrize(
-    ("kernel", "given", "message"),
-    [
+def test_impossible_lengths_are_refused() -> None:
+    for kernel, given, message in [
         (COSTLY, {"budget": ppl.simulations(39)}, r"39 simulations is too small.* 40"),
         (COSTLY, {"budget": ppl.frames(420)}, r"420 frames is too small.* 420"),
         (OWN, {"budget": ppl.frames(30 * 14 - 1)}, r"419 frames is too small.*420"),
         (OWN, {"budget": ppl.simulations(29)}, r"29 simulations is too small.*30"),
         (OWN, {"budget": ppl.seconds(3)}, r"seconds is of no use to kernel 'mine'.*takes 1 it"),
         (OWN, {"iterations": 2}, r"iterations=2.*'mine'.*takes 1"),
-    ],
-)
-def test_impossible_lengths_are_refused(kernel: Any, given: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        length_of(kernel, 10, **given)
+    ]:
+        with pytest.raises(InvalidSettingError, match=message):
+            length_of(kernel, 10, **given)

@@ -33,9 +33,8 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
     assert completed("guided", {"beta": 0.1}) == wanted
 
 
-@pytest.mark.parametrize(
-    ("given", "changed", "gone"),
-    [
+def test_what_is_given_goes_before_a_preset() -> None:
+    for given, changed, gone in [
         ({"chains": 4, "planner": None}, {"chains": 4}, set()),
         ({"budget": 30}, {"budget": 30}, {"iterations"}),
         ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
@@ -44,13 +43,9 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
         ({"beta": 0.1},
          {"settings": dataclasses.replace(PRINTED, beta=0.1)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
-    ],
-)  # fmt: skip
-def test_what_is_given_goes_before_a_preset(
-    given: dict[str, Any], changed: dict[str, Any], gone: set[str]
-) -> None:
-    wanted = {**ppl.preset("as_printed"), **changed}
-    assert completed("as_printed", given) == {k: v for k, v in wanted.items() if k not in gone}
+    ]:  # fmt: skip
+        wanted = {**ppl.preset("as_printed"), **changed}
+        assert completed("as_printed", given) == {k: v for k, v in wanted.items() if k not in gone}
 
 
 def test_unknown_words_and_settings_whole_and_one_by_one_are_refused() -> None:

@@ -6,8 +6,8 @@ import dataclasses
 import importlib.util
 import json
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -107,19 +107,16 @@ def test_weights_survive_saving_and_damaged_files_are_refused_by_name(tmp_path: 
             StrengthNetwork.load(whole)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_arrays_that_cannot_be_weights_are_refused() -> None:
+    for change, message in [
         ({"weight_2": np.zeros((3, 3))}, r"weight_2 has shape \(3, 3\), expected \(64, 64\)"),
         ({"bias_3": np.array([0.0, np.nan])}, "bias_3 .* finite"),
         ({"scale": np.zeros(N_FEATURES)}, "scale .* not positive"),
         ({"bias_2": None}, "bias_2 is missing"),
-    ],
-)
-def test_arrays_that_cannot_be_weights_are_refused(change: dict[str, Any], message: str) -> None:
-    changed = {k: v for k, v in (no_weights() | change).items() if v is not None}
-    with pytest.raises(InvalidSettingError, match=message):
-        StrengthNetwork(changed)
+    ]:
+        changed = {k: v for k, v in (no_weights() | change).items() if v is not None}
+        with pytest.raises(InvalidSettingError, match=message):
+            StrengthNetwork(changed)
 
 
 def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,20 +140,16 @@ def test_settings_take_names_functions_and_networks() -> None:
         SimpleSettings(strength=3)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("mean", "sd", "message"),
-    [
+def test_answers_that_are_no_distributions_are_refused() -> None:
+    for mean, sd, message in [
         (np.zeros(2), np.ones((1, 2)), r"shapes \(2,\) and \(1, 2\), expected \(1, 2\)"),
         (np.full((1, 2), 300.0), np.zeros((1, 2)), "standard deviation 0"),
         (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
         (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
-    ],
-)
-def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        estimated_strengths(
-            lambda *_: StrengthEstimates(mean, sd), EVENT.scene, EVENT.observation, ALL
-        )
+    ]:
+        own = partial(lambda *given: given[0], StrengthEstimates(mean, sd))
+        with pytest.raises(InvalidSettingError, match=message):
+            estimated_strengths(own, EVENT.scene, EVENT.observation, ALL)
 
 
 # red faces right with 20 units of free way, green faces up

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -283,23 +282,18 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(monkeypatch: pytest.Monk
         infer(Knows(), EVENT_OF_THREE, prior="uniform", tracking=FEW)
 
 
-@pytest.mark.parametrize(
-    ("method", "given", "message"),
-    [
+def test_what_a_simulator_does_wrong_is_said_with_the_frame() -> None:
+    for method, given, message in [
         ("log_prob_next", lambda *_: "often", "returned 'often', expected a log density"),
         ("log_prob_next", lambda *_: np.nan, "returned nan, expected a log density"),
         ("log_prob_next", lambda *_: -np.inf, "frame 1 leaves no hypothesis possible"),
         ("next_frames", lambda *_: np.zeros((4, 3)), r"shape \(4, 3\), expected \(100, 4, 3\)"),
         ("next_frames", lambda *_: 1 / 0, "ZeroDivisionError"),
-    ],
-)
-def test_what_a_simulator_does_wrong_is_said_with_the_frame(
-    method: str, given: Callable[..., Any], message: str
-) -> None:
-    broken = type("Broken", (), {method: staticmethod(given)})()
-    with pytest.raises(SimulationError, match=message) as refused:
-        infer(broken, tracking=FEW)
-    assert "frame 1" in str(refused.value)
+    ]:
+        broken = type("Broken", (), {method: staticmethod(given)})()
+        with pytest.raises(SimulationError, match=message) as refused:
+            infer(broken, tracking=FEW)
+        assert "frame 1" in str(refused.value)
 
 
 def test_what_was_seen_cannot_be_changed_by_a_simulator() -> None:
