@@ -6,7 +6,6 @@ import dataclasses
 import importlib.util
 import json
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -147,9 +146,13 @@ def test_answers_that_are_no_distributions_are_refused() -> None:
         (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
         (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
     ]:
-        own = partial(lambda *given: given[0], StrengthEstimates(mean, sd))
         with pytest.raises(InvalidSettingError, match=message):
-            estimated_strengths(own, EVENT.scene, EVENT.observation, ALL)
+            estimated_strengths(
+                lambda *_, found=StrengthEstimates(mean, sd): found,
+                EVENT.scene,
+                EVENT.observation,
+                ALL,
+            )
 
 
 # red faces right with 20 units of free way, green faces up
