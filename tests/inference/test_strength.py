@@ -140,7 +140,7 @@ def test_settings_take_names_functions_and_networks() -> None:
 
 
 def test_answers_that_are_no_distributions_are_refused() -> None:
-    for mean, sd, message in [
+    for *told, message in [
         (np.zeros(2), np.ones((1, 2)), r"shapes \(2,\) and \(1, 2\), expected \(1, 2\)"),
         (np.full((1, 2), 300.0), np.zeros((1, 2)), "standard deviation 0"),
         (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
@@ -148,10 +148,7 @@ def test_answers_that_are_no_distributions_are_refused() -> None:
     ]:
         with pytest.raises(InvalidSettingError, match=message):
             estimated_strengths(
-                lambda *_, found=StrengthEstimates(mean, sd): found,
-                EVENT.scene,
-                EVENT.observation,
-                ALL,
+                lambda *_, told=told: StrengthEstimates(*told), EVENT.scene, EVENT.observation, ALL
             )
 
 
