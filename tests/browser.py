@@ -21,7 +21,6 @@ needs_browser = pytest.mark.skipif(BROWSER is None, reason=WHY)
 
 
 def browser_path() -> str:
-    """Return the program; the test fails where there is none."""
     if BROWSER is None:
         pytest.fail(WHY)
     return BROWSER

@@ -118,8 +118,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 _WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 
 MOST_MEMORY = max(
-    1.3e9,
-    min(0.1, 0.5 / _WORKERS) * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"),
+    1.3e9, min(0.1, 0.5 / _WORKERS) * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 )
 """Bytes of a process, beyond which what XLA has compiled is forgotten after a file of tests."""
 
@@ -199,7 +198,6 @@ def unpainted() -> Iterator[None]:
 
 @pytest.fixture
 def own_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Models of social perception that a test registers are forgotten after it."""
     from phase_ppl.evaluation import registry
 
     registry.available_models()

@@ -36,9 +36,7 @@ def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 123)])
-def test_the_table_has_at_most_88_columns(
-    shape: tuple[int, int], tmp_path: Path, capsys: Capture
-) -> None:
+def test_the_table_fits_88_columns(shape: tuple[int, int], tmp_path: Path, capsys: Capture) -> None:
     file = Posterior(random_tree(7, *shape)).save(tmp_path / "post.nc")
     assert max(map(len, told(capsys, "diagnose", file).splitlines())) <= 88
 

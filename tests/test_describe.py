@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from pathlib import Path
 
@@ -10,9 +9,8 @@ import pandas as pd
 import pytest
 
 import phase_ppl
-from phase_ppl.data.events_json import checksum
-from phase_ppl.data.generated import MANIFEST_SCHEMA
 from tests.data.authors.pickles import processed
+from tests.models.walks import make_set
 from tests.test_cli import Capture, fails, told
 from tests.world.examples import make_event
 
@@ -21,20 +19,10 @@ pytestmark = pytest.mark.usefixtures("unpainted")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a set and its manifest."""
-    path = tmp_path / "my set"
-    path.mkdir()
     events = [make_event(4, "one"), make_event(5, "two")]
-    phase_ppl.save_events(events, path / "events.json")
-    told = ({"family": "compete"}, {"group": "one"})
-    entries = [
-        {"id": event.id, "split": "train", "checksum": checksum(event), **more}
-        for event, more in zip(events, told, strict=True)
-    ]
-    record = {"schema": MANIFEST_SCHEMA, "entries": entries, "kept": {"compete": 1}}
-    record["rejected"] = {"compete": {"dull": 3}}
-    (path / "manifest.json").write_text(json.dumps(record))
-    return path
+    more = [{"family": "compete"}, {"group": "one"}]
+    made = {"kept": {"compete": 1}, "rejected": {"compete": {"dull": 3}}}
+    return make_set(tmp_path / "my set", events, ["train"] * 2, more, **made)
 
 
 def test_it_prints_a_table_and_writes_it_with_card_and_sheet(
@@ -42,11 +30,7 @@ def test_it_prints_a_table_and_writes_it_with_card_and_sheet(
 ) -> None:
     out = tmp_path / "out"
     text = told(capsys, "describe", folder, "--out", out, "--quiet")
-    for words in (
-        "my set: 2 events, 1 without copies",
-        "scenario",
-        "data_card.png, contact_sheet",
-    ):
+    for words in ("my set: 2 events, 1 without copies", "scenario", "data_card.png, contact_sheet"):
         assert words in text
     for name in ("data_card.png", "contact_sheet.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
@@ -69,17 +53,12 @@ def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
     assert "collaborate: 1 event\n" in told(capsys, "describe", "collaborate")
 
 
-def test_what_is_no_set_or_a_damaged_one_is_named(
-    folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_what_is_no_set_or_damaged_is_named(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     for manifest, word in (("{", "manifest.json"), ('{"entries": 1}', "entries")):
         (folder / "manifest.json").write_text(manifest)
         assert word in fails(capsys, "describe", folder)
     assert "holds no event files" in fails(capsys, "describe", tmp_path)
     assert "missing.json" in fails(capsys, "describe", tmp_path / "missing.json")
-
-
-# --- export ---------------------------------------------------------------------------------------
 
 
 def test_events_of_several_files_go_into_one(tmp_path: Path, capsys: Capture) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import fcntl
 import multiprocessing
 import os
@@ -16,7 +15,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -155,9 +153,7 @@ def test_files_are_read_without_locks(tmp_path: Path) -> None:
         runs.assert_same_draws(ppl.load_posterior(path).tree, post.tree)
 
 
-def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_of_otherwise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show() -> None:
     event = ppl.load_event("independent")
     world, poses, frames = PymunkWorld(event.scene, (450.0, 300.0)), [], []
     poses.append(world.state.pose)
@@ -172,15 +168,6 @@ def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_o
     assert Observation.at_rate(poses[::10], fps=6).n_frames == len(frames)
     check_refused(lambda: Observation.at_rate(poses, fps=0), "fps=0, expected a positive")
     check_refused(lambda: Observation.at_rate(poses[:3], fps=60), "has 1 frame")
-
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", lambda *given: reading())
-    for name in ("collaborate", "compete", "independent", "oppose"):
-        ppl.infer(ppl.load_event(name))
-    track = event.observation.trajectory
-    fine = CubicSpline(range(len(track)), track)(np.arange(0, len(track) - 1, 0.2))
-    slow = dataclasses.replace(event, observation=Observation(fine))
-    with pytest.warns(UserWarning, match=r"friction alone .*Observation\.at_rate\(trajectory, fps"):
-        ppl.infer(slow)
 
 
 def test_an_attribute_that_no_file_can_hold_is_named_before_it_is_written(tmp_path: Path) -> None:

@@ -68,7 +68,6 @@ def test_links_lead_to_files_and_headings_that_are_there() -> None:
 
 
 def labels(printed: str) -> set[str]:
-    """Return what stands in the first column of a printed posterior."""
     return {line[:13].strip() for line in printed.splitlines()}
 
 
@@ -117,9 +116,7 @@ def test_the_readmes_further_lines_sample_and_compare(
     assert (tmp_path / "why.mp4").stat().st_size > 1000
 
 
-def test_the_readmes_scene_is_simulated_and_drawn(
-    tmp_path: Path, run_script: Callable[..., str]
-) -> None:
+def test_the_readmes_scene_is_drawn(tmp_path: Path, run_script: Callable[..., str]) -> None:
     *_, shown = examples(README)
     run_script(saved(shown.replace("frames=50", "frames=8"), tmp_path))
     for name in ("helps.png", "hinders.png"):
@@ -181,11 +178,7 @@ def test_citation_and_changelog_are_of_this_version() -> None:
 
 SHOWN: dict[str, list[str]] = {
     "alternative_prior": ["sparse_social", "E[kindness] = "],
-    "chain_diagnostics": [
-        "fail    enough simulations",
-        "move_rate",
-        "diagnostics.png",
-    ],
+    "chain_diagnostics": ["fail    enough simulations", "move_rate", "diagnostics.png"],
     "compare_kernels": ["reference: enumeration", "prior_mh", "comparison.png"],
     "glide": ["<event glide: 12 frames"],
     "numpyro_native": ["sim_seed        sample", "strong red: off by", "simulations,", "friendly"],

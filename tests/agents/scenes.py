@@ -31,24 +31,20 @@ def scene(
     pink: tuple[float, float] = (8.0, 4.0),
     **changes: Any,
 ) -> Scene:
-    """Return a scene; ``radius`` and ``walls`` may be given."""
     radius = changes.pop("radius", [0.8] * 4)
     return Scene(start=[red, green, (*blue, 0.0), (*pink, 0.0)], radius=radius, **changes)
 
 
 def state_of(where: Scene) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return the start of a scene as agents and the compiled physics take it."""
     return compiled.from_state(State.at_start(where), where.radius)
 
 
 def model_of(where: Scene, config: PlannerConfig | None = None) -> WorldModel:
-    """Return what agents of 450 N know of a scene."""
     strengths = [450.0] * len(where.world.agents)
     return WorldModel.of(where, strengths, PlannerConfig() if config is None else config)
 
 
 def agent_in(where: Scene, goals: tuple[int, ...], config: PlannerConfig, seed: int = 0) -> Agent:
-    """Return the first agent of a scene, which has not looked yet."""
     return Agent(0, goals, model_of(where, config), config, np.random.default_rng(seed))
 
 
@@ -62,7 +58,6 @@ class Sight(NamedTuple):
 def look(
     where: Scene, agent: int = 0, held: tuple[int, int] = (-1, -1), full_view: bool = False
 ) -> Sight:
-    """Return what ``agent`` observes at the start of a scene."""
     model, (bodies, _, _) = model_of(where), state_of(where)
     shape = model.layout.rows, model.layout.columns
     visible, observed = np.zeros(math.prod(shape), bool), np.zeros(4, bool)

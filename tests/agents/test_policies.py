@@ -11,7 +11,7 @@ from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.goals import N_GOALS, goal_index, opposed_goal, possible_goals, shared_goal
-from phase_ppl.world.worlds import SOLO, TRIO
+from phase_ppl.world.worlds import TRIO
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene, state_of
 
 CONFIG = PlannerConfig(simulations=30, paired=True)
@@ -67,26 +67,20 @@ def test_what_a_search_finds_does_not_depend_on_what_else_is_searched() -> None:
         assert alone.best == together[index].best
 
 
-@pytest.mark.parametrize(
-    ("red", "green"),
-    [
+def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal() -> None:
+    for red, green in [
         ("Get blue item to red lm", "Get blue item to red lm"),
         ("Get blue item to red lm", "Get blue item away from red lm"),
         ("Get green agent to yellow lm", "Get green agent to yellow lm"),
         ("get to green agent", "get away from red agent"),
-    ],
-)
-def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal(red: str, green: str) -> None:
-    goals = goal_index(red), goal_index(green)
-    policies = Policies(0, MODEL, CONFIG, seed=3)
-    agent = Agent(0, goals, MODEL, CONFIG, np.random.default_rng([3, 0]))
-    for one in (policies, agent):
-        one.observe(*state_of(WHERE))
-    place = policies.intent_of[goals[0] * N_GOALS + goals[1]]
-    assert policies.intents[place] == agent.intent
-
-
-# --- of three agents ------------------------------------------------------------------------------
+    ]:
+        goals = goal_index(red), goal_index(green)
+        policies = Policies(0, MODEL, CONFIG, seed=3)
+        agent = Agent(0, goals, MODEL, CONFIG, np.random.default_rng([3, 0]))
+        for one in (policies, agent):
+            one.observe(*state_of(WHERE))
+        place = policies.intent_of[goals[0] * N_GOALS + goals[1]]
+        assert policies.intents[place] == agent.intent
 
 
 def drawn_goals(rng: np.random.Generator, n: int) -> list[tuple[int, ...]]:
@@ -117,10 +111,3 @@ def test_an_agent_of_three_has_the_intent_that_it_has_with_just_these_goals(agen
         alone = Policies(agent, model, FEW, seed=1, goals=[each])
         alone.observe(*state_of(where))
         assert every.intents[every.intent_of[place]] == alone.intents[0], each
-
-
-def test_standpoints_are_far_fewer_than_the_goals_of_all() -> None:
-    assert standpoints(0, TRIO).n < 0.03 * len(TRIO.goals) ** 3
-    assert standpoints(0, SOLO).n == 22  # it has no goal to touch itself
-    itself = TRIO.goal_index("get to red agent")
-    assert standpoints(0, TRIO).of(np.array([itself, 0, 0])) == -1

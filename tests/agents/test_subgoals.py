@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from phase_ppl.agents.standpoints import stance_of
-from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
+from phase_ppl.agents.subgoals import SubgoalPlanner
 from phase_ppl.agents.symbols import SymbolicState, Target, plan, plans_of, start_node
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import goal_index, goal_literal, possible_goals
@@ -90,12 +90,10 @@ def door(entity: int, ray: int) -> Literal:
 
 
 def holding(rooms: tuple[int, ...], item: int = BLUE, **more: Any) -> SymbolicState:
-    """Red holds an item."""
     return state(rooms, held=(item, NOWHERE), **more)
 
 
 def both(rooms: tuple[int, ...]) -> SymbolicState:
-    """Both hold the blue item."""
     return state(rooms, held=(BLUE, BLUE))
 
 
@@ -153,27 +151,16 @@ OWN: dict[str, Rule] = {
     "go to a landmark through the next room": (TO_RED, [(state(), UNSEEN, close(RED, BL))]),
     "go to a landmark in the same room": (TO_BLUE, [(state(), UNSEEN, on(RED, TL))]),
     "stop at the landmark": (TO_BLUE, [(state(own_done=True), UNSEEN, STOP)]),
-    "let go at the landmark": (
-        TO_BLUE, [(holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK))]),
     "let go of an item before going to a landmark": (
         TO_BLUE, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
-    "let go first without inner walls": (
-        of("Get red agent to red lm", walls=[]), [(holding(ONE_ROOM), IN_VIEW, let_go(RED, BLUE))]),
-    "touch an item in the same room": (BRING, [(state(), UNSEEN, touch(RED, BLUE))]),
     "go to the room of an item out of view, and head straight for one in view": (FETCH, [
         (state(), UNSEEN, close(RED, BL)),
         (state(), IN_VIEW, touch(RED, PINK)),
-    ]),
-    "also through an open door": (BRING, [
-        (state((BL, TR, TL, TR)), UNSEEN, close(RED, TL)),
-        (state((BL, TR, TL, TR)), IN_VIEW, touch(RED, BLUE)),
     ]),
     "grab an item in reach and carry it through the next room": (BRING, [
         (reach(START), IN_VIEW, attach(RED, BLUE)),
         (holding(START), IN_VIEW, close(BLUE, BL)),
     ]),
-    "let go of the item that is not wanted": (
-        BRING, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
     "place an item in the room of its landmark, before its holder is there too": (BRING, [
         (holding((BR, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
         (holding((BL, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
@@ -193,27 +180,13 @@ OWN: dict[str, Rule] = {
         (state(), UNSEEN, touch(RED, GREEN, positive=False)),
         (holding(START), IN_VIEW, let_go(RED, BLUE)),
     ]),
-    "keep away from a landmark": (
-        of("Get red agent away from red lm"), [(state(), UNSEEN, off(RED, BR))]),
     "without inner walls go to the landmark itself": (
         {**TO_RED, "walls": []}, [(state(ONE_ROOM), UNSEEN, on(RED, BR))]),
     "without inner walls place the item at once": (
         {**BRING, "walls": []}, [(holding(ONE_ROOM), IN_VIEW, on(BLUE, BR))]),
-    "without inner walls touch the other at once": (
-        {**MEET, "walls": []}, [(state(ONE_ROOM), UNSEEN, touch(RED, GREEN))]),
 }  # fmt: skip
 
 HELPING: dict[str, Rule] = {
-    "at the goal a helper lets go of whatever it holds, and stops": (sharing(), [
-        (state(own_done=True), IN_VIEW, STOP),
-        (holding(START, BLUE, own_done=True), IN_VIEW, let_go(RED, BLUE)),
-        (holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK)),
-    ]),
-    "one that reaches item and goal acts as if the goal were its own": (sharing(), [
-        (state(), IN_VIEW, touch(RED, BLUE)),
-        (reach(START), IN_VIEW, attach(RED, BLUE)),
-        (holding(START), IN_VIEW, close(BLUE, BL)),
-    ]),
     "a helper joins a holder of the same goal": (sharing(), [
         (state((TL,) * 4, held=(NOWHERE, BLUE)), IN_VIEW, touch(RED, BLUE)),
         (state((TL,) * 4, held=(NOWHERE, BLUE), in_reach=BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
@@ -226,10 +199,6 @@ HELPING: dict[str, Rule] = {
     ]),
     "of two that are too weak alone red takes hold": (sharing(strengths=(200.0, 200.0)), [
         (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
-        (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
-    ]),
-    "and so does green": (sharing(strengths=(200.0, 200.0), agent=GREEN), [
-        (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(GREEN, BLUE)),
         (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
     ]),
     "a helper that does not fit hands over, and leaves it to the other": (sharing(**WIDE_RED), [
@@ -291,11 +260,6 @@ HELPING: dict[str, Rule] = {
         clearing(walls=[*WALLS, [[16.0, 12.0], [16.0, 2.0]]]), [
         (state((TR, BL, TL, TR), door_filled_by=(LEFT, NOWHERE)), IN_VIEW, STOP),
     ]),
-    "helping one that wants to get to the helper is to meet it": (
-        of("get to green agent", "get to red agent"), [
-        (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
-        (state((TL, BL, TR, TR)), IN_VIEW, touch(RED, GREEN)),
-    ]),
 }  # fmt: skip
 
 KEEPING_AN_AGENT_AWAY: dict[str, Rule] = {
@@ -346,18 +310,11 @@ KEEPING_AN_AGENT_AWAY: dict[str, Rule] = {
             for room, ray in ((TL, LEFT), (BL, LEFT), (BR, DOWN))
         ],
     ),
-    "without a wall on its way meet it and push it back": (
-        keeping_agent(walls=[FULL_WALL_UP, HALF_WALL_LEFT]), [
-        (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
-        (state((BR, BL, TR, TR)), UNSEEN, off(GREEN, BR)),
-    ]),
     "one that wants something else is pushed away from the landmark": (
         of("Get green agent away from red lm", "Get blue item to blue lm"), [
         (state(), UNSEEN, off(GREEN, BR)),
         (holding(START, PINK), IN_VIEW, let_go(RED, PINK)),
     ]),
-    "let go before going to meet it": (
-        keeping_agent(), [(holding((TL, TL, TR, TL), PINK), UNSEEN, let_go(RED, PINK))]),
 }  # fmt: skip
 
 KEEPING_AN_ITEM_AWAY: dict[str, Rule] = {
@@ -369,8 +326,6 @@ KEEPING_AN_ITEM_AWAY: dict[str, Rule] = {
         (state(), IN_VIEW, off(BLUE, BR)),
         (holding(START), IN_VIEW, off(BLUE, BR)),
     ]),
-    "let go of another item first": (
-        keeping_item(), [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
     "out of reach of the item, stop where the opponent is there or has it": (
         keeping_item(**WIDE_RED), [
         (state((BL, BR, BR, TL)), IN_VIEW, STOP),
@@ -475,19 +430,6 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
             found = plan.subgoal(facts, UNSEEN)
             assert isinstance(found, Literal)
             assert own.positive or found != own.negated(), (own, other, facts)
-
-
-@pytest.mark.parametrize("walls", [[], NARROW_DOWN])
-def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]) -> None:
-    stance = stance_of(RED, [goal_literal(0, RED), goal_literal(1, GREEN)])
-    first, second, weak = (
-        subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(
-            goal_literal(0, RED), stance, False
-        )
-        for strengths in ((450.0, 600.0), (449.0, 590.0), (150.0, 600.0))
-    )
-    assert first is second
-    assert weak is not first
 
 
 def test_plans_are_those_of_a_search_from_each_state_alone() -> None:

@@ -15,14 +15,7 @@ from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, PredicateKind
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import (
-    FULL_WALL_UP,
-    NARROW_WALL_DOWN,
-    agent_in,
-    model_of,
-    scene,
-    state_of,
-)
+from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, model_of, scene, state_of
 
 RED, GREEN, BLUE, PINK = range(4)
 DOWN = 2
@@ -111,21 +104,6 @@ def test_the_printed_cost_is_the_length_of_all_legs_to_the_goal() -> None:
     door = walled.rooms.door_position[DOWN]
     way = np.hypot(*(door - (14, 5))) + np.hypot(*((x, y) - door))
     assert described(walled, whole=True)[1] == pytest.approx(5 + way)
-
-
-def test_an_agent_counts_the_way_that_its_settings_say() -> None:
-    where = scene(red=(10.0, 12.0, 0.0), blue=(14.0, 12.0))
-    costs = {}
-    for cost in ("leg", "plan"):
-        config = PlannerConfig(particles=2, simulations=1, true_state=True, cost=cost)
-        agent = agent_in(
-            where, (goal_index("Get blue item to red lm"), goal_index(ELSEWHERE)), config
-        )
-        agent.observe(*state_of(where))
-        costs[cost] = agent._costs[0]
-    x, y = where.landmark_centres[2]
-    np.testing.assert_allclose(costs["leg"], 4.0)
-    np.testing.assert_allclose(costs["plan"], 4.0 + np.hypot(x - 14, y - 12))
 
 
 class TestValue:

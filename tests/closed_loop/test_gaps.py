@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.physics import inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action
-from tests.closed_loop.test_hidden_state import CARRY, STRENGTHS, near_item, played
+from tests.closed_loop.test_hidden_state import CARRY, near_item, played
 
 RED, GREEN, BLUE = 0, 1, 2
 STILL = np.zeros(N_ACTIONS)
@@ -71,18 +70,6 @@ def test_whoever_may_do_anything_unseen_may_be_anywhere_the_longer_the_more() ->
     assert spread[0] < spread[3] < spread[7]
 
 
-def test_a_missing_frame_says_nothing_of_actions_and_strengths() -> None:
-    where = near_item()
-    hidden = HiddenState(where, Tracking(strength_weight=1.0))
-    for frame, _ in played(where, CARRY[:6]):
-        hidden.advance(frame)
-    before = hidden.strengths()
-    density = hidden.advance(np.full((4, 3), np.nan), policies=[STILL, STILL])
-    np.testing.assert_allclose(density, 0.0, atol=1e-9)
-    np.testing.assert_allclose(hidden.strengths(), before, atol=1e-9)
-    assert hidden.log_peak == 0
-
-
 def test_whole_turns_that_a_tracker_adds_while_an_angle_is_unseen_do_not_matter() -> None:
     where, doing = near_item(), [(Action.TURN_LEFT, Action.STOP)] * 8
     frames, found, angles = [frame for frame, _ in played(where, doing)], [], set()
@@ -98,14 +85,3 @@ def test_whole_turns_that_a_tracker_adds_while_an_angle_is_unseen_do_not_matter(
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
     np.testing.assert_allclose(found[2], found[0], atol=1e-6)
     assert len(angles) == 1
-
-
-def test_kernels_compiled_for_whole_frames_read_those_with_gaps() -> None:
-    where = near_item()
-    hidden = HiddenState(where, Tracking(states=1))
-    frames = [frame for frame, _ in played(where, CARRY[:4], STRENGTHS)]
-    hidden.advance(frames[0])
-    kinds = len(inverse.try_all.overloads), len(inverse.follow.overloads)
-    for frame in hidden_from(frames[1:], slice(0, 3), 0, 2):
-        hidden.advance(frame)
-    assert (len(inverse.try_all.overloads), len(inverse.follow.overloads)) == kinds

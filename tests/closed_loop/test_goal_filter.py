@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
 from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
-from phase_ppl.closed_loop.goal_filter import (
-    ActionPolicy,
-    Plans,
-    policies_of,
-)
+from phase_ppl.closed_loop.goal_filter import ActionPolicy, Plans, policies_of
 from phase_ppl.physics.actions import N_ACTIONS, Action
 
 POLICY = ActionPolicy(sharpness=2.0, lapse=0.3)
@@ -48,7 +44,6 @@ def read(
 def by_hand(
     sets: list[list[Plans]], density: NDArray[np.float64], some: list[int], intent: int = 1
 ) -> float:
-    """Return the log likelihood as a sum over all pairs of actions."""
     red, green = (
         np.mean([POLICY.of(sets[i][agent].roots[intent]) for i in some], axis=0)
         for agent in range(2)

@@ -185,15 +185,6 @@ def test_noise_and_the_models_own_error_add_in_squares() -> None:
     np.testing.assert_allclose(both, alone)
 
 
-def test_a_frame_where_an_action_puts_it_is_as_probable_as_any_can_be() -> None:
-    where, resting = near_item(), (Action.STOP, Action.STOP)
-    hidden = HiddenState(where, Tracking(noise=0.0))
-    for frame in frames_of(where, [resting] * 2):  # where strengths make no difference
-        density = hidden.advance(frame)
-        assert density.max() == pytest.approx(density[resting])
-        assert density.max() == pytest.approx(hidden.log_peak)
-
-
 def test_no_strength_is_lost_and_each_has_states_of_its_own() -> None:
     where = near_item()
     hidden = HiddenState(where, Tracking(states=4, strength_weight=1.0))

@@ -56,7 +56,6 @@ def test_phase_under_another_name_is_read_as_phase(planner_seeds: int) -> None:
 
 
 def near(distance: float) -> ppl.Scene:
-    """Return three agents around an item, so far from it."""
     middle = np.array([18.0, 6.0])
     around = [middle + distance * np.array([np.cos(a), np.sin(a)]) for a in (0.3, 2.4, 4.5)]
     start = {name: (*spot, 0.4) for name, spot in zip(TRIO.agents, around, strict=True)}

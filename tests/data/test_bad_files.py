@@ -17,18 +17,13 @@ from phase_ppl.data import documents
 from phase_ppl.data.documents import parse_document
 from phase_ppl.data.events_json import event_record
 from phase_ppl.data.load import load_event, load_events, save_event
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    PhasePPLError,
-    UnknownNameError,
-)
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from tests.data.authors.test_unpickle import Trap
 from tests.data.test_phase_test import put, video, write
 from tests.world.examples import make_event
 
 
 def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str:
-    """Return the message with which ``path`` is refused: one line that names it."""
     with pytest.raises(error) as raised:
         load_event(path)
     with pytest.raises(error):
@@ -40,9 +35,7 @@ def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str
 
 
 @pytest.mark.parametrize("protocol", [0, 2, pickle.HIGHEST_PROTOCOL])
-def test_other_pickles_than_the_authors_are_refused_without_running_them(
-    tmp_path: Path, protocol: int
-) -> None:
+def test_other_pickles_are_refused_without_running_them(tmp_path: Path, protocol: int) -> None:
     for content, why in (
         (Trap(os.mkdir, str(tmp_path / "sprung")), f"asks for '{os.mkdir.__module__}.mkdir'"),
         ({"format": "phase-ppl-event-1"}, "videos: Expected 'array', got 'object'"),
@@ -178,9 +171,7 @@ def nodes(value: Any) -> list[tuple[Any, Any]]:
 
 @settings(max_examples=80, suppress_health_check=list(HealthCheck))
 @given(own=st.booleans(), data=st.data())
-def test_a_damaged_file_is_an_event_or_refused_by_name(
-    tmp_path: Path, own: bool, data: st.DataObject
-) -> None:
+def test_a_damaged_file_is_read_or_refused(tmp_path: Path, own: bool, data: st.DataObject) -> None:
     if own:
         document: Any = event_record(make_event(id="v1"))
     else:

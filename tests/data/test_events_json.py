@@ -33,7 +33,6 @@ from tests.world.examples import RADIUS, START, make_event, make_scene, make_tra
 
 
 def assert_same(first: Event, second: Event) -> None:
-    """All that two events hold is equal, to the last bit."""
     assert np.array_equal(first.observation.trajectory, second.observation.trajectory)
     for name in ("start", "radius", "walls", "landmark_centres"):
         assert np.array_equal(getattr(first.scene, name), getattr(second.scene, name)), name
@@ -175,9 +174,6 @@ def test_what_no_file_can_say_is_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# --- the events that come with the package --------------------------------------------------------
-
-
 @pytest.fixture
 def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "events"
@@ -216,7 +212,6 @@ def test_every_bundled_event_carries_its_name_and_a_consistent_truth(tmp_path: P
     for name in bundled_events():
         event = load_event(name)
         assert event.id == name
-        assert event.truth is not None
         assert event.truth.scenario == scenario(event.truth.goal_red, event.truth.goal_green)
         # what was written before agents could stand still after each step is written as it was
         assert not event.scene.resets_velocity

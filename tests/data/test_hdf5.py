@@ -73,9 +73,6 @@ def test_a_full_disk_ends_no_process_and_leaves_what_was_there(tmp_path: Path) -
     assert left == dict.fromkeys(names, "old")
 
 
-# --- files that somebody else made -------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Posterior(random_tree(1)).save(tmp_path_factory.mktemp("one") / "run.nc")
@@ -139,9 +136,7 @@ TRICKS: dict[str, list[Change]] = {
 
 
 @pytest.mark.parametrize("message", TRICKS)
-def test_a_file_made_to_do_harm_is_refused_unread(
-    tmp_path: Path, saved: Path, message: str
-) -> None:
+def test_a_harmful_file_is_refused_unread(tmp_path: Path, saved: Path, message: str) -> None:
     for change in TRICKS[message]:
         posterior = Path(shutil.copy(saved, tmp_path))
         with h5py.File(posterior, "r+") as file:

@@ -19,15 +19,7 @@ from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.scene import LANDMARK_CENTRES
-from tests.world.examples import (
-    DEV,
-    RADIUS,
-    START,
-    make_scene,
-    make_trajectory,
-    needs_dev,
-    walls,
-)
+from tests.world.examples import DEV, RADIUS, START, make_scene, make_trajectory, needs_dev, walls
 
 
 def video(id: str = "v1") -> dict[str, Any]:
@@ -67,7 +59,6 @@ def video(id: str = "v1") -> dict[str, Any]:
 
 
 def put(record: Any, where: Sequence[str | int], value: Any) -> None:
-    """Change a value in a record."""
     for step in where[:-1]:
         record = record[step]
     record[where[-1]] = value
@@ -147,8 +138,6 @@ def test_all_published_videos_are_read_originals_turning_left_and_reflected_copi
     assert found == {(True, "ccw"): 10, (True, "both"): 1, (False, "cw"): 37, (False, "both"): 2}
 
 
-# --- which way agents turn ------------------------------------------------------------------------
-
 RADII = np.array([0.8, 1.6, 1.0, 1.0])
 
 
@@ -168,18 +157,6 @@ def turned(red: Sequence[int], green: Sequence[int] = ()) -> NDArray[np.float64]
             angle += turn
         trajectory[len(ways) + 1 :, agent, 2] = angle
     return trajectory
-
-
-def test_every_step_of_a_turn_is_counted_once() -> None:
-    for radius, angle in ((0.8, 1.06), (1.01, 0.66), (1.2, 0.47), (1.6, 0.26)):
-        assert full_turn(radius) == pytest.approx(angle, abs=0.005)
-    assert count_turns(turned([1, 0]), RADII) == (1, 0)  # spread over two frames
-    assert count_turns(turned([1, 1, 1, 0]), RADII) == (2, 0)  # its first and last are partial
-    assert count_turns(turned([0, -1, 0, 0, -1, 0], [1, 1, 0]), RADII) == (1, 2)
-    assert count_turns(turned([0, 0, 0]), RADII) == (0, 0)
-    pushed = turned([0] * 12)
-    pushed[:, 0, 2] -= 0.6 * full_turn(RADII[0]) * np.arange(13)
-    assert count_turns(pushed, RADII) == (0, 0)
 
 
 def test_the_way_that_agents_turn_is_recognised() -> None:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
-from phase_ppl.data.events_json import checksum
-from phase_ppl.data.generated import MANIFEST_SCHEMA, GeneratedEvents
+from phase_ppl.data.generated import GeneratedEvents
 from phase_ppl.data.motion import seems_to_hold
 from phase_ppl.data.statistics import GOAL_TYPES, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError
@@ -20,6 +19,7 @@ from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import rotation
 from phase_ppl.world.goals import GOALS
 from tests.analysis.pages import texts_apart
+from tests.models.walks import make_set
 from tests.world.examples import DEV, make_scene, needs_dev
 
 START = np.array([[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]])
@@ -47,7 +47,6 @@ def event(
 
 @pytest.fixture
 def events() -> list[Event]:
-    """A collaborative event of 5 frames and an opposing one of 3."""
     chase = ("get to green agent", "get away from red agent")
     return [
         event(track(5, red=0.1, pink=0.2), "one"),
@@ -57,18 +56,11 @@ def events() -> list[Event]:
 
 def made(events: list[Event], tmp_path: Path) -> GeneratedEvents:
     """Return them as a generated set: the second is a copy of the first."""
-    ppl.save_events(events, tmp_path / "events.json")
-    told = [
-        {"family": "collab", "layout": 10, "split": "train", "reflection": "none"},
-        {"family": "chasing", "layout": 8, "split": "mine", "reflection": "up-down"},
+    told: list[dict[str, Any]] = [
+        {"group": "one", "family": "collab", "layout": 10, "reflection": "none"},
+        {"group": "one", "family": "chasing", "layout": 8, "reflection": "up-down"},
     ]
-    entries = [
-        {"id": event.id, "group": "one", "checksum": checksum(event), **entry}
-        for event, entry in zip(events, told, strict=True)
-    ]
-    record = {"schema": MANIFEST_SCHEMA, "entries": entries}
-    (tmp_path / "manifest.json").write_text(json.dumps(record))
-    return GeneratedEvents(tmp_path)
+    return GeneratedEvents(make_set(tmp_path, events, ["train", "mine"], told))
 
 
 def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -> None:
@@ -99,9 +91,7 @@ def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -
     assert found.loc["frames", "error"].isna().tolist() == [True, False, True]
 
 
-def test_a_generated_set_tells_of_copies_families_and_splits(
-    events: list[Event], tmp_path: Path
-) -> None:
+def test_generated_sets_tell_of_copies_families_splits(events: list[Event], tmp_path: Path) -> None:
     found = statistics(made(events, tmp_path))
     assert (found.attrs["events"], found.attrs["units"]) == (2, 1)
     assert found.loc[("speed", "mean"), "error"] != found.loc[("speed", "mean"), "error"]  # NaN
@@ -118,9 +108,7 @@ def test_the_standard_error_of_a_mean_is_the_textbooks() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_card_draws_shares_beside_those_of_the_original_events(
-    events: list[Event], tmp_path: Path
-) -> None:
+def test_the_card_draws_shares_beside_the_originals(events: list[Event], tmp_path: Path) -> None:
     found = statistics(made(events, tmp_path))
     figure = ppl.plot.data_card(found, tmp_path / "card.png")
     assert (tmp_path / "card.png").exists()
@@ -131,9 +119,6 @@ def test_the_card_draws_shares_beside_those_of_the_original_events(
     assert bars == pytest.approx([*shown["value"], *shown["phase"]])
     without_truth = [dataclasses.replace(event, truth=None) for event in events]
     assert len(ppl.plot.data_card(statistics(without_truth)).axes) == 2
-
-
-# --- motion ------------------------------------------------------------------------------------
 
 
 def test_an_item_that_stays_at_a_grab_point_is_held() -> None:
@@ -152,9 +137,6 @@ def test_an_item_that_stays_at_a_grab_point_is_held() -> None:
     assert not seems_to_hold(held[:8], radius)[:, 0].any()
 
 
-# --- the original events -----------------------------------------------------------------------
-
-
 @needs_dev
 def test_half_of_the_test_videos_is_like_the_whole() -> None:
     found = statistics(ppl.load_events(DEV))
@@ -167,9 +149,6 @@ def test_half_of_the_test_videos_is_like_the_whole() -> None:
         assert value[of, "mean"] == pytest.approx(whole[of, "mean"], abs=0.04)
     assert 0.19 < value["agent_rests", "mean"] < 0.31
     assert value["frames", "median"] == pytest.approx(whole["frames", "median"], abs=5)
-
-
-# --- other worlds -------------------------------------------------------------------------------
 
 
 def test_a_set_of_another_world_is_described_by_its_own_names() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.simulator.contract import Cancelled, SimulationResult
+from phase_ppl.simulator.contract import Cancelled
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.inference.toy import walkers, walking_event
@@ -40,26 +40,17 @@ def assert_same_draws(one: xr.DataTree, other: xr.DataTree) -> None:
 
 
 class Watched(Runner):
-    """Calls ``before`` and ``after`` it runs anything, with the number of the call from 0 on."""
+    """Calls ``before`` before it runs anything, with the number of the call from 0 on."""
 
     calls = -1
 
     def before(self, call: int, requests: int) -> None:
         """May raise, or count the requests."""
 
-    def after(self, call: int, results: list[SimulationResult]) -> list[SimulationResult]:
-        """Return what is given back."""
-        return results
-
-    def run(
-        self,
-        hypotheses: Sequence[Hypothesis],
-        seeds: Sequence[int],
-        error_ceilings: Sequence[float] | None = None,
-    ) -> list[SimulationResult]:
+    def run(self, hypotheses: Sequence[Hypothesis], *given: Any, **more: Any) -> Any:
         self.calls += 1
         self.before(self.calls, len(hypotheses))
-        return self.after(self.calls, super().run(hypotheses, seeds, error_ceilings))
+        return super().run(hypotheses, *given, **more)
 
 
 def stops_at(call: int) -> type[Runner]:

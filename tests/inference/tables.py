@@ -47,6 +47,4 @@ OPTIONS: dict[str, Any] = {"kernel": "prior_mh", "chains": 60, "seed": 1, "progr
 
 
 def sampled(read: Any = EXACT, *given: Any, **options: Any) -> ppl.Posterior:
-    post = ppl.infer(read, *given, **{**OPTIONS, "iterations": 400, **options})
-    assert isinstance(post, ppl.Posterior)
-    return post
+    return ppl.infer(read, *given, **{**OPTIONS, "iterations": 400, **options})

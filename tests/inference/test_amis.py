@@ -15,7 +15,6 @@ from jax import random
 from numpyro.infer import MCMC
 
 import phase_ppl as ppl
-from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import sampler
 from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.inference.kernels.amis import AMIS, first_proposal
@@ -113,23 +112,9 @@ def test_it_finds_the_exact_posterior_with_few_simulations() -> None:
     assert effective_size(found()) > 0.3 * found().cost["simulations"]
 
 
-def test_strata_need_densities_and_have_no_luck() -> None:
+def test_strata_need_densities() -> None:
     with pytest.raises(InvalidSettingError, match=r"density of each proposal, .* 'amis' does"):
         ppl.Posterior(found().tree, "stratified")
-    # with the densities that the draws' weights are of, strata say the same
-    tree = found().tree.copy()
-    simulations, place = tree["simulations"].dataset, simulation_of_draw(tree).ravel()
-    log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values
-    log_proposal = np.full(len(log_joint), np.nan)
-    log_weight = tree["sample_stats"]["log_weight"].values.ravel()
-    log_proposal[place] = log_joint[place] - log_weight
-    tree["simulations"].dataset = simulations.assign(log_proposal=("simulation", log_proposal))
-    # without the first draws, there are more simulations than draws
-    post = ppl.Posterior(tree, "stratified", burn_in=1)
-    for axis, key in ((1, "red"), (0, "green")):
-        expected = exact().sum(axis=axis)
-        assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
-        assert 0 <= post.mode(f"goal_{key}").error < 1
 
 
 def test_proposals_that_mislead_are_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,9 +128,6 @@ def test_proposals_that_mislead_are_left_behind(monkeypatch: pytest.MonkeyPatch)
     for axis, key in ((1, "red"), (0, "green")):
         expected = exact().sum(axis=axis)
         assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
-
-
-# --- runs that are left ---------------------------------------------------------------------------
 
 
 def test_a_run_that_was_left_learns_again_what_it_had_learned(
@@ -180,9 +162,6 @@ def test_simulations_that_fail_count_as_impossible() -> None:
     for axis, key in ((1, "red"), (0, "green")):
         expected = possible.sum(axis=axis)
         assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
-
-
-# --- other casts ----------------------------------------------------------------------------------
 
 
 def test_three_agents_are_learned_where_the_table_has_room() -> None:
@@ -229,9 +208,6 @@ def test_a_table_without_room_is_refused_in_one_line() -> None:
     with pytest.raises(InvalidSettingError, match=said) as refused:
         ppl.infer(event, ppl.Model(simulator=never_called), kernel="amis")
     assert "\n" not in str(refused.value)
-
-
-# --- where there is nothing to learn from -------------------------------------------------------
 
 
 @pytest.mark.parametrize("kernel", ["amis", AMIS])

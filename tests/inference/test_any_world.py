@@ -23,10 +23,7 @@ from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import through
 from phase_ppl.inference.registry import kernel_info
-from phase_ppl.inference.tables import (
-    BottomUpTables,
-    window_count,
-)
+from phase_ppl.inference.tables import BottomUpTables, window_count
 from phase_ppl.models import world_priors
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.compiled import Compiled
@@ -76,9 +73,6 @@ def _one_of(name: str, masses: dict[int, float], n: int) -> None:
     numpyro.sample(name, dist.Categorical(probs=probs))
 
 
-# --- what there is ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("world", [CAST, SOLO, TRIO])
 def test_sites_stand_for_the_roles_that_have_their_effective_goals(world: World) -> None:
     space, rng = space_of(world), np.random.default_rng(0)
@@ -102,9 +96,6 @@ def test_of_what_cannot_be_nothing_is_simulated() -> None:
     assert space.in_support(sites).tolist() == [True, False, False]
 
 
-# --- priors --------------------------------------------------------------------------------------
-
-
 def test_prior_of_effective_goals_sums_over_what_leads_to_them() -> None:
     distinct, place = np.unique(EFFECTIVE, axis=0, return_inverse=True)
     strengths = {name: np.full(len(distinct), 300.0) for name in SPACE.strength_sites}
@@ -124,20 +115,6 @@ def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
     found = np.exp(space.log_prior_of_effective(log_goals, log_company, rows)).sum()
     assert found == pytest.approx(space.possible_share(log_goals, log_company))
     assert found < 0.999
-
-
-def test_stated_goals_are_drawn_as_the_prior_has_them() -> None:
-    alike, n = (COMMON == EFFECTIVE).all(axis=1), 4000
-    assert alike.sum() > 2
-    goals, strengths = np.tile(COMMON, (n, 1)), np.full((n, 3), 300.0)
-    drawn, log_drawn = drawn_stated(few_in_cast().prior, goals, strengths)
-    share = [(drawn == row).all(axis=1).mean() for row in ROWS]
-    expected = np.where(alike, MASSES, 0) / np.sum(MASSES, where=alike)
-    np.testing.assert_allclose(share, expected, atol=0.03)
-    place = (drawn[:, None] == ROWS).all(axis=2).argmax(axis=1)
-    np.testing.assert_allclose(log_drawn, np.log(expected[place]), atol=1e-5)
-    other, _ = drawn_stated(few_in_cast().prior, goals, strengths, seed=1)
-    assert (other != drawn).any()
 
 
 def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
@@ -168,9 +145,6 @@ def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
         assert weights @ values == pytest.approx(expected, abs=4 * error)
 
 
-# --- kernels -------------------------------------------------------------------------------------
-
-
 ROWS = np.array(list(itertools.product(*GOALS, COMPANY)))
 MASSES = np.prod(list(itertools.product(*[m.values() for m in (*GOALS, COMPANY)])), axis=1)
 EFFECTIVE = SPACE.effective(dict(zip(SPACE.sites, ROWS.T, strict=False))).astype(np.int64)
@@ -194,7 +168,6 @@ def table() -> FloatArray:
 
 @functools.cache
 def exact() -> FloatArray:
-    """Return (row,) the posterior of stated goals and ways, by enumeration."""
     by_seed = RadialLikelihood(n_entities=3).log_prob(table()[tuple(EFFECTIVE.T)]).sum(axis=-1)
     found = MASSES * np.exp(by_seed - by_seed.max()).mean(axis=-1)
     return np.asarray(found / found.sum())
@@ -227,8 +200,6 @@ def test_draws_visit_roles_as_often_as_the_posterior_says() -> None:
     assert expected < 0.09
     assert total_variation(share.mean(axis=0), exact()) < 2 * expected
 
-
-# --- whole runs ----------------------------------------------------------------------------------
 
 TRUE_GOAL = "ball to home"
 
@@ -391,9 +362,6 @@ def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: st
 def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
     with pytest.raises(PhasePPLError, match="in PHASE one takes none and samples goal_red"):
         ppl.infer(ppl.load_event("collaborate"), ppl.Model(world_priors.uniform), kernel="prior_mh")
-
-
-# --- kernels side by side -----------------------------------------------------------------------
 
 
 def of_one_strength(world: World) -> None:

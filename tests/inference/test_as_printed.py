@@ -24,22 +24,12 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS, goal_index
-from tests.inference.toy import (
-    N_FRAMES,
-    SCENE,
-    SETTINGS,
-    START,
-    TableRunner,
-    moving,
-    table_errors,
-    table_program,
-)
+from tests.inference import toy
 
 PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed", unit="printed", prior_share=0.0)
 
 
 def apart(one: Any, other: Any) -> set[str]:
-    """Return the names of the fields in which two settings differ."""
     fields = [field.name for field in dataclasses.fields(one)]
     return {name for name in fields if getattr(one, name) != getattr(other, name)}
 
@@ -66,20 +56,17 @@ def test_a_small_search_keeps_all_else_that_is_printed() -> None:
     assert small == ppl.PlannerConfig.fast().as_printed()
 
 
-# --- proposals --------------------------------------------------------------------------------
-
-
 def test_logits_are_the_printed_formula() -> None:
-    observation = moving(21, _2=(20.0, 6.0))
-    logits = np.asarray(bottom_up_tables(SCENE, observation, PRINTED).goal_logits)
-    first, last = START[2, :2], np.array([20.0, 6.0])
-    red_landmark = np.array(SCENE.landmark_centres[2])
+    observation = toy.moving(21, _2=(20.0, 6.0))
+    logits = np.asarray(bottom_up_tables(toy.SCENE, observation, PRINTED).goal_logits)
+    first, last = toy.START[2, :2], np.array([20.0, 6.0])
+    red_landmark = np.array(toy.SCENE.landmark_centres[2])
     d1, d2 = (np.linalg.norm(place - red_landmark) for place in (first, last))
     # gamma d(t2) + gamma (d(t2) - d(t1)), over the whole observation
     found = logits[-1, 0, goal_index("Get blue item to red lm")]
     assert found == pytest.approx(10 * d2 + 10 * (d2 - d1))
     arena = dataclasses.replace(PRINTED, unit="arena")
-    divided = np.asarray(bottom_up_tables(SCENE, observation, arena).goal_logits)
+    divided = np.asarray(bottom_up_tables(toy.SCENE, observation, arena).goal_logits)
     possible = ~SELF_REFERRING
     np.testing.assert_allclose(logits[:, possible], divided[:, possible] * np.hypot(20, 20))
 
@@ -97,16 +84,16 @@ def strong() -> None:
 
 def guide(prior_share: float) -> Guide:
     """Windows that take both agents for 450 N strong, give or take 40."""
-    n = window_count(N_FRAMES, SETTINGS.window) + 1
+    n = window_count(toy.N_FRAMES, toy.SETTINGS.window) + 1
     strength = np.full((n, 2), 450.0)
     tables = BottomUpTables(np.zeros((n, 2, N_GOALS)), strength, np.full((n, 2), 40.0))
     return bottom_up_guide(strong, Model(prior=strong).sites, tables, prior_share=prior_share)
 
 
 def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() -> None:
-    runner = TableRunner(table_errors())
-    program, _bridge = table_program(runner, strong)
-    settings = dataclasses.replace(SETTINGS, proposal="paper", prior_share=0.0)
+    runner = toy.TableRunner(toy.table_errors())
+    program, _bridge = toy.table_program(runner, strong)
+    settings = dataclasses.replace(toy.SETTINGS, proposal="paper", prior_share=0.0)
     kernel = LocalMH(program, guide(0.0), settings, rule="paper")
     keys = random.split(random.key(1), 20)
     at = dict(goal_red=0, goal_green=3, alpha=0, strength_red=650.0, strength_green=500.0)
@@ -129,16 +116,13 @@ def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() 
     assert asked < 20 * 13, "what has no prior mass is not simulated"
 
 
-@pytest.mark.parametrize(
-    "kernel",
-    [
+def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior() -> None:
+    for kernel in [
         *(lambda *given, rule=rule: LocalMH(*given, rule=rule) for rule in ("exact", "window")),
         *(Importance, SMC),
-    ],
-)
-def test_what_divides_by_q_refuses_to_do_without_a_share_of_the_prior(kernel: Any) -> None:
-    settings = ppl.SimpleSettings(prior_share=0.0)
-    program, _bridge = table_program(TableRunner(table_errors()))
-    with pytest.raises(InvalidSettingError, match=r"prior_share=0 for .*rule='paper'"):
-        _ = kernel(program, guide(0.0), settings).guide
-    assert LocalMH(program, guide(0.0), settings, rule="paper").guide
+    ]:
+        settings = ppl.SimpleSettings(prior_share=0.0)
+        program, _bridge = toy.table_program(toy.TableRunner(toy.table_errors()))
+        with pytest.raises(InvalidSettingError, match=r"prior_share=0 for .*rule='paper'"):
+            _ = kernel(program, guide(0.0), settings).guide
+        assert LocalMH(program, guide(0.0), settings, rule="paper").guide

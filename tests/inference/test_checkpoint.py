@@ -42,7 +42,6 @@ def whole() -> ppl.Posterior:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The file of a run of two iterations."""
     path = tmp_path_factory.mktemp("finished") / "run.ckpt"
     infer(iterations=2, checkpoint=path)
     return path.read_bytes()
@@ -53,9 +52,6 @@ def path(tmp_path: Path, finished: bytes) -> Path:
     file = tmp_path / "run.ckpt"
     file.write_bytes(finished)
     return file
-
-
-# --- going on --------------------------------------------------------------------------------
 
 
 def test_a_finished_run_is_extended_by_any_workers_to_what_a_longer_one_gives(
@@ -97,13 +93,7 @@ def test_a_population_goes_on_from_its_initial_particles(
         patch.setattr(sampler, "Runner", stops_at(1))
         with pytest.raises(ppl.Interrupted) as caught:
             infer(**options, settings=settings, checkpoint=path)
-    first = caught.value.posterior
-    assert first is not None
-    stats = first.tree["sample_stats"].dataset
-    # what importance sampling makes of them
-    weights, n = stats["log_weight"].values.ravel(), EVENT.observation.n_frames
-    expected = np.log(np.exp(weights).mean()) + n * ppl.RadialLikelihood().log_prob(0.0)
-    np.testing.assert_allclose(stats["log_evidence"], expected, rtol=1e-5)
+    assert caught.value.posterior is not None
     assert_same_draws(infer(**options, settings=settings).tree, resume(path).tree)
 
 
@@ -185,9 +175,6 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert_same_draws(whole.tree, post.tree)
 
 
-# --- another run -----------------------------------------------------------------------------
-
-
 def strange(scene: Any, hypothesis: Any, rng: Any) -> Any:
     yield from walkers(scene, hypothesis, rng)
 
@@ -235,9 +222,7 @@ def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(
         assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_full_disk_ends_the_run_but_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, write = tmp_path / "run.ckpt", checkpoint.write_checkpoint
 
     def full(*given: Any) -> None:
@@ -252,9 +237,6 @@ def test_a_full_disk_ends_the_run_but_loses_nothing(
     assert kept.tree["posterior"].sizes["draw"] == 2
     assert kept.cost["interrupted"]
     assert Checkpoint(path).done == 1
-
-
-# --- files of other people -------------------------------------------------------------------
 
 
 def rewritten(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> Callable[[bytes], bytes]:
@@ -328,9 +310,7 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.mark.parametrize("make", HOSTILE.values(), ids=HOSTILE)
-def test_a_foreign_or_hostile_file_is_one_clear_error(
-    make: Callable[[bytes], bytes], path: Path
-) -> None:
+def test_a_hostile_file_is_one_clear_error(make: Callable[[bytes], bytes], path: Path) -> None:
     content = make(path.read_bytes())
     path.write_bytes(content)
     said = r"run.ckpt is no checkpoint, or a damaged one"
@@ -380,9 +360,6 @@ def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
         assert again == document
         np.testing.assert_equal(other, arrays)
     assert noticed > 40
-
-
-# --- other versions, and two at once ---------------------------------------------------------
 
 
 def test_a_run_is_not_gone_on_with_by_another_version_unless_told_to(

@@ -124,7 +124,6 @@ def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.M
 
 
 def unread(n_frames: int) -> Event:
-    """An event that no other test has had read."""
     event = event_of(PHASE)
     return dataclasses.replace(
         event, observation=Observation(event.observation.trajectory[:n_frames])

@@ -144,9 +144,6 @@ def test_particles_start_anew_where_no_simulation_succeeds() -> None:
     assert in_vain.calls == 4 * chains
 
 
-# --- what hangs ------------------------------------------------------------------------------
-
-
 def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
     options = {**OPTIONS, "iterations": 2, "weights": "count"}
     for limit in LIMITS:
@@ -209,6 +206,5 @@ def test_what_fails_counts_as_impossible_in_all_weights() -> None:
         found = ppl.Posterior(post.tree, weights).probability(goal_red=GOALS[GOALS_ALIKE[0]])
         assert found == pytest.approx(0.2, abs=3 * 0.02), weights
     plan = plan_enumeration(model)
-    assert plan is not None
     reference = enumerate_goals(EVENT, model, plan, per_pair=400, workers=1)
     assert reference.probability[GOALS_ALIKE[0]].sum() == pytest.approx(0.2, abs=3 * 0.02)

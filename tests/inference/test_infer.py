@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import _thread
 import dataclasses
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,10 +10,9 @@ import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import run, sampler
 from phase_ppl.inference.kernels.metropolis import PriorMH
-from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from tests.inference import runs
-from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws
+from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws, stops_at
 from tests.inference.toy import characters, never_called, walkers
 
 CHAINS, ITERATIONS = 4, 2
@@ -67,9 +63,7 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
 
-def test_the_prior_of_a_simulation_is_that_of_all_that_would_be_simulated_alike(
-    post: ppl.Posterior,
-) -> None:
+def test_the_prior_of_a_simulation_is_that_of_all_simulated_alike(post: ppl.Posterior) -> None:
     found = post.tree["simulations"].dataset
     of_pairs = post.tree["constant_data"]["prior_of_pairs"].values
     mass = of_pairs[found["goal_red"], found["goal_green"]]  # strengths are even on 450 N
@@ -96,9 +90,6 @@ def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str
     captured = capsys.readouterr()
     assert f"{made}/{made}" in captured.err
     assert captured.out == ""
-
-
-# --- what of an event counts -------------------------------------------------------------------
 
 
 def test_only_scene_and_observation_change_the_posterior(
@@ -140,9 +131,6 @@ def infer_event(event: ppl.Event) -> ppl.Posterior:
     )
 
 
-# --- other kernels and models ------------------------------------------------------------------
-
-
 def test_a_kernel_goes_by_name_or_function_and_room_for_more_frames_changes_no_draw() -> None:
     # of a function nobody knows how valid what it makes is, or whether it takes longer arrays
     kernels = ("prior_mh", lambda program: PriorMH(program))
@@ -177,48 +165,12 @@ def test_sites_of_ones_own_are_inferred_and_stored() -> None:
     assert 0 < found.mean("sociability") < 1
 
 
-# --- what goes wrong ---------------------------------------------------------------------------
-
-Results = list[SimulationResult]
-Change = Callable[[int, Any, Results], Any]
-"""(number of the call, runner, results) -> other results, or nothing."""
-
-
-def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
-    """Let ``change`` act on what the runner gives back from its n-th call, counted from 0."""
-
-    class Disturbed(Watched):
-        cancelled = False
-
-        def cancel(self) -> None:
-            self.cancelled = True
-            super().cancel()
-
-        def after(self, call: int, results: Results) -> Results:
-            return change(call, self, results) or results
-
-    monkeypatch.setattr(sampler, "Runner", Disturbed)
-
-
-def interrupt_in(call: int) -> Change:
-    def change(number: int, runner: Any, results: Results) -> None:
-        if number == call:
-            _thread.interrupt_main()
-            deadline = time.monotonic() + 60
-            while not runner.cancelled and time.monotonic() < deadline:
-                time.sleep(0.02)
-            assert runner.cancelled
-            raise Cancelled("the run was cancelled")
-
-    return change
-
-
 def test_an_interrupt_keeps_the_iterations_that_were_done_or_nothing(
     monkeypatch: pytest.MonkeyPatch, post: ppl.Posterior
 ) -> None:
     kept = []
     for call in (2, 1, 0):
-        disturb(monkeypatch, interrupt_in(call))
+        monkeypatch.setattr(sampler, "Runner", stops_at(call))
         with pytest.raises(ppl.Interrupted) as caught:
             infer()
         assert isinstance(caught.value, KeyboardInterrupt)
@@ -235,7 +187,11 @@ def test_an_interrupt_keeps_the_iterations_that_were_done_or_nothing(
 
 
 def test_exception_from_the_runner_keeps_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    disturb(monkeypatch, lambda number, runner, results: 0 // (1 - number))
+    class Broken(Watched):
+        def before(self, call: int, requests: int) -> None:
+            _ = 0 // (1 - call)
+
+    monkeypatch.setattr(sampler, "Runner", Broken)
     with pytest.raises(ZeroDivisionError, match="by zero"):
         infer()
 

@@ -25,18 +25,7 @@ from phase_ppl.inference.kernels.metropolis import PriorMH, log_ratio
 from phase_ppl.inference.run import Run
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from tests.inference.toy import (
-    SETTINGS,
-    table_errors,
-    total_variation,
-    walkers,
-    walking_event,
-)
-
-ERRORS = table_errors()
-
-
-# --- arrays that are longer than the observation ----------------------------------------------
+from tests.inference.toy import SETTINGS, total_variation, walkers, walking_event
 
 
 def made(n_frames: int, **changes: Any) -> Run:
@@ -66,8 +55,6 @@ def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observati
     assert own.recipe[-1] == unknown.recipe[-1] == 20
     assert made(20, kernel=PriorMH).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
 
-
-# --- the rules, on a chain so small that its transition matrix can be written down ---------------
 
 HYPOTHESES, SEEDS, TIME, LENGTH, ETA, BETA = 8, 3, 10, 3, 0.5, 0.4
 
@@ -99,7 +86,6 @@ class Tiny:
         return law.reshape(HYPOTHESES, SEEDS).sum(axis=1)
 
     def transitions(self, rule: Rule) -> NDArray[np.float64]:
-        """Return the matrix over (hypothesis, seed)."""
         with jax.enable_x64(True):
             return np.asarray(_transitions(rule, self.errors, self.prior, self.proposal))
 
@@ -133,9 +119,7 @@ def _transitions(rule: Rule, errors: jax.Array, prior: jax.Array, proposal: jax.
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_exact_rules_leave_the_posterior_invariant_and_the_printed_one_something_else(
-    seed: int,
-) -> None:
+def test_exact_rules_leave_the_posterior_invariant_the_printed_one_does_not(seed: int) -> None:
     tiny = Tiny(seed)
     for rule in EXACT_RULES:
         assert total_variation(tiny.stationary(rule), tiny.posterior()) < 1e-6, rule

@@ -84,6 +84,7 @@ def sampled(
     *,
     warmup: int = 0,
     bar: bool = False,
+    keys: jax.Array = KEY,
 ) -> Any:
     mcmc = MCMC(
         kernel,
@@ -93,16 +94,11 @@ def sampled(
         chain_method=method,
         progress_bar=bar,
     )
-    mcmc.run(KEY)
+    mcmc.run(keys)
     return mcmc
 
 
-# --- the program ----------------------------------------------------------------------------------
-
-
-def test_a_trace_is_a_hypothesis_a_seed_and_the_errors_of_their_simulation(
-    program: OpenProgram,
-) -> None:
+def test_a_trace_is_a_hypothesis_a_seed_and_their_errors(program: OpenProgram) -> None:
     trace = handlers.trace(handlers.seed(program, KEY)).get_trace()
     value = {name: site["value"] for name, site in trace.items()}
     (record,) = program.records
@@ -129,21 +125,17 @@ def drawn(model: Any, key: jax.Array) -> Any:
     return handlers.trace(handlers.seed(model, key)).get_trace()
 
 
-# --- kernels --------------------------------------------------------------------------------------
-
 METHODS = [("vectorized", True), ("sequential", False)]
 
 
 @functools.cache
 def plain(kernel: Any) -> tuple[OpenProgram, Any]:
-    """Return a short run of two vectorised chains."""
     program = opened()
     return program, sampled(kernel(program), 12, 2)
 
 
 @pytest.mark.parametrize(
-    "kernel",
-    [ppl.kernels.PriorMH, pytest.param(ppl.kernels.LocalMH, marks=pytest.mark.slow)],
+    "kernel", [ppl.kernels.PriorMH, pytest.param(ppl.kernels.LocalMH, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize(("method", "bar"), METHODS)
 def test_every_chain_method_draws_the_same_with_a_bar_and_without(
@@ -170,15 +162,9 @@ def test_draws_are_those_of_infer() -> None:
     post = ppl.infer(EVENT, MODEL, **OPTIONS)
     number = int(np.random.SeedSequence(OPTIONS["seed"]).generate_state(1)[0])
     with ppl.program(EVENT, MODEL, workers=1) as program:
-        mcmc = MCMC(
-            ppl.kernels.PriorMH(program),
-            num_warmup=0,
-            num_samples=OPTIONS["iterations"],
-            num_chains=OPTIONS["chains"],
-            chain_method="vectorized",
-            progress_bar=False,
-        )
-        mcmc.run(random.split(random.key(number), OPTIONS["chains"]))
+        n, chains = OPTIONS["iterations"], OPTIONS["chains"]
+        keys = random.split(random.key(number), chains)
+        mcmc = sampled(ppl.kernels.PriorMH(program), n, chains, keys=keys)
     again = ppl.Posterior.from_numpyro(mcmc)
     for name, values in post.tree["posterior"].dataset.items():
         np.testing.assert_allclose(again.tree["posterior"][name], values, 1e-5, err_msg=str(name))
@@ -187,9 +173,7 @@ def test_draws_are_those_of_infer() -> None:
         np.testing.assert_allclose(again.tree["sample_stats"][name], values, 1e-4, err_msg=name)
 
 
-def test_numpyros_gibbs_visits_goals_by_the_posterior_given_the_rest(
-    program: OpenProgram,
-) -> None:
+def test_numpyros_gibbs_visits_goals_by_the_posterior_given_the_rest(program: OpenProgram) -> None:
     given = {"sim_seed": jnp.int32(1)}
     given |= {name: jnp.float32(300.0) for name in ("strength_red", "strength_green")}
     kernel = DiscreteGibbs(handlers.condition(program, given))
@@ -216,9 +200,7 @@ def test_aies_runs_on_uniform_numbers(program: OpenProgram) -> None:
 
 
 @pytest.mark.parametrize("handler", [handlers.condition, handlers.substitute, handlers.do])
-def test_a_handler_cannot_give_what_a_sampler_does_not_ask_it_for(
-    handler: Any, program: OpenProgram
-) -> None:
+def test_a_handler_cannot_give_what_no_sampler_asks_for(handler: Any, program: OpenProgram) -> None:
     """NumPyro would ignore it, or show a hypothesis that was not simulated."""
     for name in ("goal_red", "sim_seed"):
         mcmc = MCMC(AIES(handler(program.uniform, {name: jnp.int32(5)})), num_warmup=0,
@@ -238,9 +220,6 @@ def test_what_needs_a_gradient_or_to_enumerate_seeds_says_what_runs(program: Ope
     for model in (program.uniform, handlers.condition(program, jax.tree.map(jnp.int32, given))):
         with pytest.raises(InvalidSettingError, match="has no gradient, which this sampler asks"):
             sampled(NUTS(model), 1, 1)
-
-
-# --- the posterior --------------------------------------------------------------------------------
 
 
 def test_the_posterior_counts_the_chains_draws_and_simulates_nothing() -> None:
@@ -279,9 +258,6 @@ def test_runs_that_make_no_posterior_are_refused(program: OpenProgram) -> None:
     with pytest.raises(InvalidSettingError, match="the samples lack alpha"):
         ppl.Posterior.from_numpyro(short)
     plain.cache_clear()
-
-
-# --- workers, failures, debugging -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bar", [False, True])

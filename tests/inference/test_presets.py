@@ -13,9 +13,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
-from phase_ppl.inference.compare import entries
 from phase_ppl.inference.run import Run
-from phase_ppl.inference.settings import PRESETS, completed
+from phase_ppl.inference.settings import completed
 from phase_ppl.models.predicate import INDEPENDENT, PredicateSettings
 from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -34,9 +33,8 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
     assert completed("guided", {"eta": 0.2}) == wanted
 
 
-@pytest.mark.parametrize(
-    ("given", "changed", "gone"),
-    [
+def test_what_is_given_goes_before_a_preset() -> None:
+    for given, changed, gone in [
         ({"chains": 4, "planner": None}, {"chains": 4}, set()),
         ({"budget": 30}, {"budget": 30}, {"iterations"}),
         ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
@@ -45,13 +43,9 @@ def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
         ({"eta": 0.2},
          {"settings": dataclasses.replace(PRINTED, eta=0.2)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
-    ],
-)  # fmt: skip
-def test_what_is_given_goes_before_a_preset(
-    given: dict[str, Any], changed: dict[str, Any], gone: set[str]
-) -> None:
-    wanted = {**ppl.preset("as_printed"), **changed}
-    assert completed("as_printed", given) == {k: v for k, v in wanted.items() if k not in gone}
+    ]:  # fmt: skip
+        wanted = {**ppl.preset("as_printed"), **changed}
+        assert completed("as_printed", given) == {k: v for k, v in wanted.items() if k not in gone}
 
 
 def test_unknown_words_and_settings_whole_and_one_by_one_are_refused() -> None:
@@ -89,20 +83,6 @@ def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds(
     changed = ready("predicate", {"preset": "as_intended", "prior": "uniform", "on_item": 2.0})
     assert changed.record["model_settings"]["prior"] == "uniform"
     assert changed.record["model_settings"]["on_item"] == 2.0
-
-
-def test_compare_takes_presets_for_kernels() -> None:
-    found = entries(list(PRESETS), 7, ppl.SimpleSettings())
-    assert [one.label for one in found] == list(PRESETS)
-    assert {one.info.name for one in found} == {"local_mh"}
-    printed, _, simple, guided = found
-    assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
-    # whole: its planner and its length too
-    assert printed.own == {"planner": "as_printed", "iterations": 6}
-    assert (simple.options, simple.chains, simple.own) == ({}, 7, {})
-    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
-    (shorter,) = entries({"few": ("as_printed", {"iterations": 2})}, 7, ppl.SimpleSettings())
-    assert shorter.own["iterations"] == 2
 
 
 def test_open_settings_are_settled_by_the_world_alone() -> None:

@@ -59,8 +59,6 @@ def keys(n: int) -> jax.Array:
 
 
 class OfOnesOwn(ppl.kernels.NumpyroKernel):
-    """Another sampler of NumPyro, as a user adds it."""
-
     sims_per_step = 20
 
     def sampler(self) -> ESS:
@@ -183,9 +181,6 @@ def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:
     return found
 
 
-# --- whole runs --------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "options", "most", "draws"),
@@ -245,9 +240,6 @@ def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
     shares = green / green.sum(axis=1, keepdims=True) / len(red)
     np.add.at(expected, np.searchsorted(ends[1:-1], red), shares)
     np.testing.assert_allclose(found, expected, atol=1e-4)
-
-
-# --- what is refused ---------------------------------------------------------------------------
 
 
 def counted() -> None:

@@ -10,13 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from strength_training import (
-    Simulated,
-    blurred,
-    main,
-    quality,
-    simulate_events,
-)
+from strength_training import Simulated, blurred, main, quality, simulate_events
 
 from phase_ppl.data.load import bundled_events, load_event, load_events
 from phase_ppl.inference.settings import SimpleSettings
@@ -27,7 +21,6 @@ from phase_ppl.inference.strength import (
     StrengthNetwork,
     analytic_strengths,
     network_strengths,
-    observed_jitter,
     shipped_network,
     window_features,
 )
@@ -52,9 +45,6 @@ def no_weights() -> dict[str, np.ndarray]:
     return weights | {"scale": np.ones(N_FEATURES)}
 
 
-# --- features ----------------------------------------------------------------------------------
-
-
 def test_features_are_finite_for_the_shortest_observations() -> None:
     for n_frames in (2, 3, 4, 7):
         windows = np.array([[0, n_frames - 1], [0, 1], [n_frames - 2, n_frames - 1]])
@@ -72,41 +62,6 @@ def test_features_do_not_depend_on_place_or_direction() -> None:
         np.testing.assert_allclose(
             window_features(moved, RADIUS, windows), reference, rtol=1e-3, atol=1e-3
         )
-
-
-def test_window_knows_only_its_own_frames_but_for_the_jitter() -> None:
-    changed = TRAJECTORY.copy()
-    changed[30:] = changed[:29:-1]  # as much rest and motion as before
-    windows = np.array([[4, 20]])
-    before, after = (window_features(t, RADIUS, windows)[0] for t in (TRAJECTORY, changed))
-    of_jitter = [2, 3]
-    assert np.abs(np.delete(before - after, of_jitter, axis=1)).max() < 0.02
-    assert np.abs(before - window_features(TRAJECTORY, RADIUS, windows + 8)[0]).max() > 0.5
-
-
-def test_jitter_blurs_by_the_stated_amounts_and_is_read_off_what_rests() -> None:
-    noise = blurred(np.zeros((4000, 4, 3)), 0.2, np.random.default_rng(0), angle=0.5)
-    np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.2, 0.2, 0.1], rtol=0.05)
-    for jitter in (0.02, 0.1, 0.3):
-        seen = blurred(TRAJECTORY, jitter, np.random.default_rng(0))
-        assert jitter < observed_jitter(seen).position < 1.6 * jitter
-
-
-# --- the network -------------------------------------------------------------------------------
-
-
-def test_forward_pass_equals_one_worked_by_hand() -> None:
-    weights = no_weights()
-    weights["centre"][3], weights["scale"][3] = 1.0, 2.0
-    weights["weight_1"][3, 0], weights["bias_1"][0] = 3.0, -1.0
-    weights["weight_2"][0, 5], weights["bias_2"][5] = 0.5, 0.5
-    weights["weight_1"][3, 1], weights["weight_2"][1, 5] = -1.0, 100.0  # cut by the ReLU
-    weights["weight_3"][5], weights["bias_3"][:] = (1.0, -1.0), (np.log(3) - 3, 3.0)
-    features = np.zeros(N_FEATURES)
-    features[3] = 5.0  # 2 once scaled; 5 and 0 in the first layer; 3 in the second
-    mean, sd = StrengthNetwork(weights).outputs(features)
-    assert mean == pytest.approx(150 + 0.75 * 450)
-    assert sd == pytest.approx(np.sqrt(5 * 800))
 
 
 def test_shipped_network_beats_the_prior_on_new_events() -> None:
@@ -146,8 +101,6 @@ def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
         tables = bottom_up_tables(event.scene, event.observation, SimpleSettings())
         assert np.isfinite(tables.strength_sd).any()
 
-
-# --- the analytic rule ----------------------------------------------------------------------------
 
 # red faces right with 20 units of free way, green faces up
 START = np.array([[7.0, 12.0, -np.pi / 2], [20.0, 4.0, 0.0], [8.0, 20.0, 0.0], [24.0, 20.0, 0.0]])
@@ -201,7 +154,6 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
         pytest.skip(f"{PHASE_TEST} is not here")
     errors = []
     for event in load_events(PHASE_TEST):
-        assert event.truth is not None
         found = estimate(event.observation.trajectory, scene=event.scene)
         errors += list(found - [event.truth.strength_red, event.truth.strength_green])
     known = np.array(errors)[~np.isnan(errors)]
@@ -210,11 +162,7 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
     assert np.sqrt((known**2).mean()) == pytest.approx(VALIDATION_SD, abs=5)
 
 
-# --- training -------------------------------------------------------------------------------------
-
-
 def driving(n: int = 20, frames: int = 16) -> Simulated:
-    """Both agents go straight up, the faster the stronger; the items rest."""
     rng = np.random.default_rng(0)
     strength = rng.uniform(150, 600, (n, 2))
     trajectory = np.zeros((n, frames, 4, 3), np.float32)

@@ -16,7 +16,7 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference import run, table_run
-from phase_ppl.inference.table_run import event_of, model_of
+from phase_ppl.inference.table_run import model_of
 from phase_ppl.models import priors
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from tests.inference.runs import assert_same_draws
@@ -91,23 +91,6 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     assert not np.array_equal(sampled(iterations=7).tree["posterior"]["strength_red"], other)
 
 
-def test_a_model_that_reads_is_read_and_then_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
-    likelihood = ppl.StepwiseLikelihood(weight=0.5)
-    model = ppl.Model(prior=few_goals, likelihood=likelihood)
-    seen: list[Any] = []
-
-    def read(event: ppl.Event, model: ppl.Model, seed: int, *options: Any) -> xr.Dataset:
-        seen.append((event, model, seed))
-        return EXACT.dataset
-
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", read)
-    event = event_of(EXACT)
-    post = sampled(event, model, iterations=20)
-    ((given, of_model, seed),) = seen
-    assert (given, of_model.likelihood, seed) == (event, likelihood, 1)
-    assert_same_draws(post.tree, sampled(iterations=20).tree)
-
-
 def test_a_video_of_another_world_is_sampled_likewise() -> None:
     solo, planner = ppl.worlds.SOLO, ppl.PlannerConfig(simulations=14, particles=6)
     event = ppl.simulate(solo.random_scene(1), ppl.roles.draw(solo, 1), frames=6, planner=planner)
@@ -120,9 +103,6 @@ def test_a_video_of_another_world_is_sampled_likewise() -> None:
         else:
             one, other = (each.probability(**{name: (150, 375)}) for each in (post, exact))
             assert abs(one - other) < NEAR
-
-
-# --- a file --------------------------------------------------------------------------------------
 
 
 def test_a_file_knows_a_registered_prior_by_its_name_and_asks_for_an_own_one(
@@ -141,16 +121,12 @@ def test_a_file_knows_a_registered_prior_by_its_name_and_asks_for_an_own_one(
 def test_draws_are_kept_in_a_file_with_their_burn_in(tmp_path: Path) -> None:
     post = ppl.Posterior(sampled(iterations=30).tree, burn_in=11)
     back = ppl.load_posterior(post.save(tmp_path / "draws.nc"))
-    assert isinstance(back, ppl.Posterior)
     assert back.burn_in == post.burn_in == 11
     assert str(back) == str(post)
     assert_same_draws(back.tree, post.tree)
     model, read = post.settings["model"], EXACT.settings
     assert post.settings["read"] == read
     assert model["prior"] == read["model"]["prior"]
-
-
-# --- what can be asked ---------------------------------------------------------------------------
 
 
 def test_what_is_asked_of_draws_has_the_answer_of_the_table() -> None:
@@ -166,9 +142,6 @@ def test_what_is_asked_of_draws_has_the_answer_of_the_table() -> None:
     why = draws().why("relation=friendly", "relation=neutral")["log_odds"]
     expected = EXACT.why("relation=friendly", "relation=neutral")["log_odds"]
     np.testing.assert_allclose(why, expected, atol=0.3)
-
-
-# --- its error -----------------------------------------------------------------------------------
 
 
 def friendly(post: Any) -> Any:
@@ -207,9 +180,6 @@ def test_of_a_single_set_the_error_is_not_known() -> None:
     assert np.isnan(friendly(sampled(table, iterations=40)).error)
 
 
-# --- how long ------------------------------------------------------------------------------------
-
-
 def n_draws(post: ppl.Posterior) -> int:
     return int(post.tree["posterior"].sizes["draw"])
 
@@ -228,7 +198,6 @@ def test_a_thousand_draws_are_the_default_and_a_budget_buys_lookups() -> None:
 
 
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make every look at the clock a second."""
     ticks = itertools.count()
     for module in (run, table_run):
         monkeypatch.setattr(module, "clock", lambda: float(next(ticks)))
@@ -261,14 +230,10 @@ def test_ctrl_c_keeps_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ppl.Interrupted) as stopped:
         sampled(iterations=200)
     post = stopped.value.posterior
-    assert post is not None
     assert n_draws(post) == table_run._BLOCK
     assert post.cost["interrupted"]
     drawn, all_drawn = (p.tree["posterior"]["strength_red"].values for p in (post, whole))
     np.testing.assert_array_equal(drawn, all_drawn[:, : table_run._BLOCK])
-
-
-# --- what is refused -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from pathlib import Path
 
@@ -34,8 +33,7 @@ NURSERY = ppl.World(
     ],
 )
 SCENE = NURSERY.scene(
-    start={"red agent": (6, 15), "ball": (4, 10), "doll": (9, 5)},
-    size={"ball": 0.8, "doll": 0.8},
+    start={"red agent": (6, 15), "ball": (4, 10), "doll": (9, 5)}, size={"ball": 0.8, "doll": 0.8}
 )
 
 
@@ -48,14 +46,6 @@ def simulate(goal: str, scene: ppl.Scene = SCENE, frames: int = 60) -> ppl.Event
 def test_an_agent_attains_a_goal_of_ones_own_and_is_content(own: ppl.Predicate) -> None:
     track = simulate(own.name).observation.trajectory
     true = own.holds(track, SCENE)
-    assert not true[0]
-    assert true[-10:].all()
-
-
-def test_an_agent_brings_a_thing_through_the_door() -> None:
-    scene = dataclasses.replace(SCENE, start=SCENE.start + np.array([[0], [0], [1]]) * [9, 9, 0])
-    together = NURSERY.predicates[0]
-    true = together.holds(simulate("toys together", scene, 90).observation.trajectory, scene)
     assert not true[0]
     assert true[-10:].all()
 
@@ -90,18 +80,9 @@ def test_what_it_does_is_said_in_words_and_in_literals_of_all_worlds() -> None:
     event = simulate("toys together")
     assert "brings the ball to the doll" in ppl.explain(event)
     assert "as it has what it wants" in ppl.explain(event)
-    assert event.thoughts is not None
     assert all(
         one.predicate is not PredicateKind.USERS for step in event.thoughts.subgoals for one in step
     )
-
-
-def test_files_keep_predicates_with_the_event(tmp_path: Path) -> None:
-    event = simulate("toys together", frames=3)
-    ppl.save_event(event, tmp_path / "event.json")
-    back = ppl.load_event(tmp_path / "event.json")
-    assert (back.scene.world, back.truth) == (NURSERY, event.truth)
-    np.testing.assert_allclose(back.observation.trajectory, event.observation.trajectory)
 
 
 def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> None:

@@ -25,22 +25,7 @@ from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
-from tests.inference.toy import (
-    ALPHA_CODES,
-    GREEN_GOALS,
-    N_FRAMES,
-    RED_GOALS,
-    SEEDS,
-    SETTINGS,
-    TableRunner,
-    characters,
-    exact_characters,
-    never_called,
-    table_errors,
-    table_guide,
-    total_variation,
-    visited_share,
-)
+from tests.inference import toy
 
 CHAINS = 45
 BLOCK = 60
@@ -49,16 +34,16 @@ BLOCKS = 4
 
 KERNELS = ("local_mh", "prior_mh", "single_site_mh")
 
-ERRORS = table_errors()
+ERRORS = toy.table_errors()
 KEYS = random.split(random.key(3), CHAINS)
 
 _CHAIN = np.arange(CHAINS)
 START = {
-    "goal_red": np.take(RED_GOALS, _CHAIN % 3).astype(np.int32),
-    "goal_green": np.take(GREEN_GOALS, _CHAIN // 3 % 2).astype(np.int32),
+    "goal_red": np.take(toy.RED_GOALS, _CHAIN % 3).astype(np.int32),
+    "goal_green": np.take(toy.GREEN_GOALS, _CHAIN // 3 % 2).astype(np.int32),
     "outgoing": np.stack([_CHAIN % 2, _CHAIN // 2 % 2], axis=1).astype(np.int32),
     "sociability": np.full(CHAINS, 0.3, np.float32),
-    "alpha": np.take(ALPHA_CODES, _CHAIN // 6 % 3).astype(np.int32),
+    "alpha": np.take(toy.ALPHA_CODES, _CHAIN // 6 % 3).astype(np.int32),
     "haste": np.linspace(-1, 2, CHAINS, dtype=np.float32),
     "strength_red": np.linspace(150, 600, CHAINS, dtype=np.float32),
     "strength_green": np.linspace(600, 150, CHAINS, dtype=np.float32),
@@ -73,27 +58,27 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @functools.cache
 def model() -> Model:
-    return Model(prior=characters, simulator=never_called)
+    return Model(prior=toy.characters, simulator=toy.never_called)
 
 
 @functools.cache
 def supplies() -> dict[str, Any]:
     """What kernels ask for; not made on import, which every process pays for."""
-    return {"guide": table_guide(characters), "settings": SETTINGS}
+    return {"guide": toy.table_guide(toy.characters), "settings": toy.SETTINGS}
 
 
 class Run(NamedTuple):
     """States (step, chain, ...), and what was simulated."""
 
     states: Any
-    runner: TableRunner
+    runner: toy.TableRunner
     bridge: SimulatorBridge
 
 
 def kernel(name: str, bridge: jax.Array | int, **options: Any) -> Any:
     info = kernel_info(name)
     needs = {need: supplies()[need] for need in info.needs}
-    return info.make(EventProgram(model(), bridge, N_FRAMES), **needs, **options)
+    return info.make(EventProgram(model(), bridge, toy.N_FRAMES), **needs, **options)
 
 
 @functools.cache
@@ -120,11 +105,11 @@ def moved(name: str) -> Any:
 
 @functools.cache
 def run(name: str, blocks: int = BLOCKS, stops_early: bool = True) -> Run:
-    return follow(name, KEYS, blocks, TableRunner(ERRORS, stops_early))
+    return follow(name, KEYS, blocks, toy.TableRunner(ERRORS, stops_early))
 
 
-def follow(name: str, keys: jax.Array, blocks: int, runner: TableRunner) -> Run:
-    bridge = SimulatorBridge(runner, N_FRAMES)
+def follow(name: str, keys: jax.Array, blocks: int, runner: toy.TableRunner) -> Run:
+    bridge = SimulatorBridge(runner, toy.N_FRAMES)
     handle = jnp.asarray(bridge.handle)
     # kernels differ in how they move, and start alike where they remember as much
     state = initialised("local_mh" if kernel_info(name).needs else "prior_mh")(keys, handle)
@@ -161,13 +146,13 @@ def test_no_exact_kernel_is_left_out() -> None:
 
 def test_draws_have_the_posterior_law(name: str) -> None:
     z = {site: values[BLOCK:] for site, values in run(name).states.z.items()}
-    share = np.stack([visited_share({s: v[:, c] for s, v in z.items()}) for c in range(CHAINS)])
-    exact = exact_characters(ERRORS)
+    share = np.stack([toy.visited_share({s: v[:, c] for s, v in z.items()}) for c in range(CHAINS)])
+    exact = toy.exact_characters(ERRORS)
     # the total variation to be expected of so many independent chains
     error = share.std(axis=0, ddof=1) / np.sqrt(CHAINS)
     expected = 0.5 * np.sqrt(2 / np.pi) * error.sum()
     assert expected < 0.09
-    assert total_variation(share.mean(axis=0), exact.share) < 2 * expected
+    assert toy.total_variation(share.mean(axis=0), exact.share) < 2 * expected
     for site, values in z.items():  # none stays where it began, be it as likely as any other
         still = (values == values[0]).reshape(len(values), CHAINS, -1).all(axis=(0, 2))
         assert still.mean() < 0.2, site
@@ -183,7 +168,7 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     assert np.isfinite(states.step_error).all()
     neither = states.z["alpha"] == 0
     red, green = states.z["goal_red"], states.z["goal_green"]
-    expected = ERRORS[red, green, states.sim_seed % SEEDS][neither]
+    expected = ERRORS[red, green, states.sim_seed % toy.SEEDS][neither]
     np.testing.assert_allclose(states.step_error[neither], expected, rtol=1e-5)
     stayed = ~states.accepted[1:]
     assert 0.05 < stayed.mean() < 0.95
@@ -202,9 +187,7 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     np.testing.assert_array_equal(states.n_accepted[-1], states.accepted.sum(axis=0))
 
 
-def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stopped(
-    name: str,
-) -> None:
+def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stops(name: str) -> None:
     _, runner, bridge = run(name)
     promised, steps = kernel_info(name).sims_per_step, BLOCKS * BLOCK
     assert max(map(len, runner.batches)) <= promised * CHAINS
@@ -217,7 +200,7 @@ def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stoppe
     bounds = np.array([record.log_bound for record in bridge.records])
     stoppable = np.isfinite(ceilings)
     np.testing.assert_array_equal(stoppable, np.isfinite(bounds))
-    floor = N_FRAMES * RadialLikelihood().log_prob(ceilings[stoppable] / N_FRAMES)
+    floor = toy.N_FRAMES * RadialLikelihood().log_prob(ceilings[stoppable] / toy.N_FRAMES)
     u = np.exp(bounds[stoppable] + floor)
     # even in (0, 1) up to rounding, as what it is compared with
     assert 0.99 < u.max() < 1.001
@@ -239,7 +222,8 @@ def test_proposals_are_kept_with_the_density_that_they_are_drawn_from(name: str)
 
 
 def test_a_start_is_kept_with_the_density_that_it_is_drawn_from() -> None:
-    bridge, keys = SimulatorBridge(TableRunner(ERRORS), N_FRAMES), random.split(KEYS[0], 2000)
+    bridge = SimulatorBridge(toy.TableRunner(ERRORS), toy.N_FRAMES)
+    keys = random.split(KEYS[0], 2000)
     supplies()
     start = compiled_quickly(lambda keys, handle: kernel("local_mh", handle).init(keys, 0))
     jax.block_until_ready(start(keys, jnp.asarray(bridge.handle)))
@@ -268,21 +252,6 @@ def test_early_rejection_changes_no_decision(name: str) -> None:
 
 def test_particles_do_not_notice_each_other(name: str) -> None:
     others = random.split(random.key(1), CHAINS)
-    among = follow(name, others.at[4].set(KEYS[4]), 1, TableRunner(ERRORS)).states
+    among = follow(name, others.at[4].set(KEYS[4]), 1, toy.TableRunner(ERRORS)).states
     fourth = jax.tree.map(lambda leaf: leaf[:, 4], among._replace(rng_key=None))
     assert_same(fourth, run(name).states, (slice(BLOCK), 4))
-
-
-def test_a_single_particle_is_stopped_early_only_where_that_is_wanted() -> None:
-    sites = {site: values[0] for site, values in START.items()}
-    for early_reject in (True, False):
-        single = kernel("prior_mh", 0, early_reject=early_reject)
-        state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
-        assert jax.eval_shape(single.sample, state) == state
-        stops = []
-
-        def proposed(state: Any, single: Any = single, stops: list[bool] = stops) -> None:
-            stops.append(isinstance(single.propose(state)[1].error_ceiling, jax.core.Tracer))
-
-        jax.eval_shape(proposed, state)
-        assert stops == [early_reject]

@@ -241,9 +241,6 @@ def never_called(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator)
     raise AssertionError("nothing was to be simulated")
 
 
-# --- a simulator for whole runs ----------------------------------------------------------------
-
-
 def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Each goal's entity walks straight to its target, the faster the stronger its agent."""
     frame = scene.start.copy()

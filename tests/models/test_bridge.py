@@ -69,16 +69,6 @@ def requested(handle: Any, sites: Any, seeds: Any, log_prior: Any, ceiling: Any)
     return jax.vmap(one)(sites, seeds, log_prior, ceiling)
 
 
-def test_all_particles_arrive_in_one_call_with_their_ceilings() -> None:
-    runner = Counting()
-    bridge = SimulatorBridge(runner, N_FRAMES)
-    errors = ask(bridge, sites_of(3), jnp.arange(3), ceiling=[3.0, 4.0, np.inf])
-    assert [len(batch) for batch in runner.batches] == [3]
-    assert runner.ceilings == [3.0, 4.0, np.inf]
-    np.testing.assert_array_equal(errors, np.repeat(np.arange(3.0)[:, None], N_FRAMES, axis=1))
-    assert [record.chain for record in bridge.records] == [0, 1, 2]
-
-
 IMPOSSIBLE = [
     ("goal_red", 36),
     ("goal_red", GOALS.index("get to red agent")),
@@ -119,34 +109,9 @@ def test_identical_requests_of_one_batch_or_a_later_one_are_paid_for_once() -> N
     assert len(bridge.records) == 4
 
 
-def test_an_exception_is_kept_with_its_class_and_not_logged(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    class Exploding(Counting):
-        def run(self, *_: Any) -> Any:
-            raise ZeroDivisionError("the simulator exploded")
-
-    bridge = SimulatorBridge(Exploding(), N_FRAMES)
-    assert np.isinf(ask(bridge, sites_of(2), jnp.arange(2))).all()
-    assert isinstance(bridge.failure, ZeroDivisionError)
-    assert not caplog.records
-
-
-def test_one_simulation_answers_what_differs_in_a_site_of_the_users_own() -> None:
-    bridge = SimulatorBridge(Counting(), N_FRAMES)
-    mood = jnp.array([[0.0, 1.0], [2.0, 3.0], [0.0, 1.0]])
-    errors = ask(bridge, sites_of(3) | {"mood": mood}, jnp.array([5, 5, 5]))
-    np.testing.assert_array_equal(errors, np.full((3, N_FRAMES), 5))
-    assert [record.sites["mood"].tolist() for record in bridge.records] == mood[:2].tolist()
-
-
 @pytest.mark.parametrize(
     ("ceilings", "bound", "again"),
-    [
-        ([5.0, np.inf, 20.0], 2.0, [3.0]),
-        ([5.0, 9.0, 20.0], 3.0, []),
-        ([5.0, 9.0], 2.0, [1.0]),
-    ],
+    [([5.0, np.inf, 20.0], 2.0, [3.0]), ([5.0, 9.0, 20.0], 3.0, []), ([5.0, 9.0], 2.0, [1.0])],
 )
 def test_of_equal_requests_in_a_batch_the_longest_is_run_and_the_first_that_ends_is_kept(
     ceilings: list[float], bound: float, again: list[float]

@@ -133,14 +133,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("prior", "message"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_work_is_refused_by_site_with_what_is_expected(
-    prior: Any, message: str
-) -> None:
+def test_what_cannot_work_is_refused_with_site_and_expectation(prior: Any, message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         checked_sites(prior)
-
-
-# --- what may be unusual and works -------------------------------------------------------------
 
 
 def alpha_after_beta(name: str) -> None:
@@ -175,7 +170,5 @@ UNUSUAL: dict[str, tuple[Callable[[], Any], dict[str, tuple[int, ...]]]] = {
 
 
 @pytest.mark.parametrize(("prior", "own"), UNUSUAL.values(), ids=UNUSUAL)
-def test_unusual_prior_is_accepted(
-    prior: Callable[[], Any], own: dict[str, tuple[int, ...]]
-) -> None:
+def test_unusual_priors_work(prior: Callable[[], Any], own: dict[str, tuple[int, ...]]) -> None:
     assert checked_sites(prior) == dict.fromkeys(sites.HYPOTHESIS_SITES, ()) | own

@@ -67,7 +67,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 
 @pytest.fixture
 def first(made: tuple[Path, Any], tmp_path: Path) -> Any:
-    """Return what the function computed, which is kept in the test's folder."""
     shutil.copytree(made[0], tmp_path, dirs_exist_ok=True)
     return made[1]
 
@@ -127,6 +126,3 @@ def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
     monkeypatch.setattr(compiled, "_IMPORTED", 0.0)
     called(Compiled(drawn, "a draw"))
     assert not list(tmp_path.iterdir())
-
-
-# --- small programs -------------------------------------------------------------------------------

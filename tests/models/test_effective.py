@@ -108,7 +108,6 @@ def of_cells(law: Any) -> np.ndarray:
 
 
 def masses_of_levels(prior: Any) -> np.ndarray:
-    """Return (alpha, level of red's strength) prior masses."""
     table: np.ndarray = np.exp(prior_table(prior, LEVELS))
     return table.sum(axis=(0, 1, 4))
 

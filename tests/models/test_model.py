@@ -53,9 +53,6 @@ def test_fingerprint_tells_models_apart() -> None:
     assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")
 
 
-# --- the likelihood -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("beta", "n_entities"), [(0.05, 4), (0.7, 1), (0.7, 10)])
 def test_radial_density_integrates_to_one(beta: float, n_entities: int) -> None:
     radius, d = np.linspace(1e-6, 90 / beta, 200_001), 2 * n_entities
@@ -81,9 +78,6 @@ def test_density_in_numpy_and_jax_and_the_error_at_which_it_reaches_a_floor() ->
     assert found[-1] == -np.inf
     total = likelihood.max_total_error(-400.0, 10)
     assert likelihood.log_prob(np.full(10, total / 10)).sum() == pytest.approx(-400)
-
-
-# --- bound to an event ----------------------------------------------------------------------------
 
 
 Z = {"goal_red": 0, "goal_green": 3, "alpha": 0, "strength_red": 300.0, "strength_green": 200.0}

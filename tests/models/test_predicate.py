@@ -109,25 +109,6 @@ def test_the_posterior_is_bayes_rule_over_pairs_of_goals() -> None:
     assert found["relation"] == pytest.approx(relation)
 
 
-COSTS = {
-    "Get red agent to blue lm": 3,
-    "Get red agent to red lm": 33,
-    "Get blue item to red lm": 30 + 3 + 0.5 + 3,  # there, touch, grip, place
-    "Get blue item to green lm": 30 + 3 + 0.5 + 15 + 3,
-    "get to green agent": 33,
-    "Get green agent to blue lm": 0,  # it goes by itself
-    "Get red agent away from red lm": 0,  # it is as far away as it can be
-    "Get red agent away from green lm": 15,
-    "get away from green agent": 0,
-    "Get blue item away from blue lm": 30 + 3 + 0.5,
-    "Get green agent away from red lm": 33,
-}
-
-
-def test_costs_to_go_of_red_alone_in_the_blue_room() -> None:
-    assert {goal: cost(goal, 0, scene(), state()) for goal in COSTS} == pytest.approx(COSTS)
-
-
 def test_a_room_without_a_way_is_nobodys_to_reach_and_nothing_is_farther() -> None:
     model = ForwardModel(scene(walls=BLUE_ROOM_SHUT), PredicateSettings(rationality=0.8))
     there, away = (goal_index(f"Get red agent {way} red lm") for way in ("to", "away from"))
@@ -140,9 +121,6 @@ def test_a_room_without_a_way_is_nobodys_to_reach_and_nothing_is_farther() -> No
     for fleeing in ("Get red agent away from red lm", "get away from green agent"):
         assert cost(fleeing, 0, where, state()) == 0
         assert 15 <= cost(fleeing, 0, where, state(rooms=(RED,) * 4)) < 20, "one room on"
-
-
-# --- against the planner, and against a search ----------------------------------------------------
 
 
 def anything(rng: np.random.Generator, where: ppl.Scene, layout: Layout) -> Moment:
@@ -251,12 +229,6 @@ def test_what_is_left_to_do_is_the_cheapest_way_to_do_it(name: str) -> None:
         assert left(given) == pytest.approx(expected), (world.goals[goal], agent, given)
 
 
-# --- priors ------------------------------------------------------------------------------------
-
-
-# --- from tracks to predicates --------------------------------------------------------------------
-
-
 def states(poses: Any, **changes: Any) -> Any:
     trajectory = np.asarray(poses, float)
     where = scene(red=tuple(trajectory[0, 0]), walls=changes.pop("walls", []))
@@ -305,9 +277,6 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
     assert np.array_equal(near, facts[:, 6:10])
     assert 10 < np.sum(near) < 150
     assert np.array_equal([state.rooms for state in found], facts[:, :4])
-
-
-# --- other casts and floor plans than PHASE's -----------------------------------------------------
 
 
 PHASE, SOLO, TRIO = ppl.worlds.PHASE, ppl.worlds.SOLO, ppl.worlds.TRIO

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from phase_people.observers import Perception
+from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.predicate import PredicateSettings
 from phase_ppl.models.socialgnn.store import TrainingSettings
@@ -23,6 +25,13 @@ WRONG: list[tuple[Callable[..., Any], str, tuple[Any, ...], str]] = [
     (Tracking, "strengths", ((100.0,),), "expected newtons in [150, 600]"),
     (Tracking, "strengths", ((300, 300),), "a strength is named twice"),
     (Tracking, "states", (0,), WHOLE),
+    (PlannerConfig, "simulations", (0,), WHOLE),
+    (PlannerConfig, "discount", (1.5,), "expected a number in (0, 1]"),
+    (PlannerConfig, "c_base", (0,), POSITIVE),
+    (SimpleSettings, "eta", (-0.1, NAN), NOT_NEGATIVE),
+    (SimpleSettings, "window", (0,), WHOLE),
+    (SimpleSettings, "prior_share", (1,), "expected a number in [0, 1)"),
+    (SimpleSettings, "sign", ("both",), "'printed'"),
     (PredicateSettings, "on_agent", (0,), POSITIVE),
     (PredicateSettings, "rationality", (-1, "high", False, 10**400), NOT_NEGATIVE),
     (PredicateSettings, "lapse", (1,), "expected a number in (0, 1)"),

@@ -48,11 +48,7 @@ def graphs(variant: Variant = "extended", event: Event = BRINGING) -> Graphs:
 
 
 def edges(of: Graphs) -> set[tuple[int, int, int]]:
-    """Return (frame, sender, receiver) of the edges."""
     return set(map(tuple, of.edges.tolist()))
-
-
-# --- graphs ------------------------------------------------------------------------------------
 
 
 def test_entities_are_joined_with_the_landmarks_near_them() -> None:
@@ -91,9 +87,6 @@ def test_contact_is_being_near_with_no_wall_between() -> None:
     start[1, 0] = 15 + 2.41
     moved = Observation(np.stack([start, start]))
     assert not touching(open_scene, moved)[0, 0, 1]
-
-
-# --- learning ----------------------------------------------------------------------------------
 
 
 @needs_torch
@@ -145,11 +138,7 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
     assert torch.get_num_threads() == threads
 
 
-# --- answers -----------------------------------------------------------------------------------
-
-
 def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float16]]:
-    """Return the arrays of a network that has learned nothing."""
     rng = np.random.default_rng(seed)
     return store.halved(
         {name: rng.normal(0, 0.3, shape) for name, shape in shapes(variant).items()}
@@ -181,9 +170,6 @@ def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> N
         )
 
 
-# --- files -------------------------------------------------------------------------------------
-
-
 def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
     members = [random_member("extended", seed) for seed in range(2)]
     store.save(members, tmp_path / "extended.npz")
@@ -207,9 +193,7 @@ def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
         ("0/edge.bias", np.array([{}] * 64), "Object arrays cannot be loaded"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_reason(
-    name: str, array: Any, message: str, tmp_path: Path
-) -> None:
+def test_a_damaged_file_is_refused(name: str, array: Any, message: str, tmp_path: Path) -> None:
     arrays = {f"0/{n}": a for n, a in random_member("original").items()} | {name: array}
     file = tmp_path / "original.npz"
     np.savez(file, **{n: a for n, a in arrays.items() if a is not None})

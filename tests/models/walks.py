@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,21 +51,27 @@ def eight() -> list[Event]:
     walks = [walk(i, (i + 1 + i // 4) % 4, 4 + i, i % 2 == 0) for i in range(4)]
     walks += [walk(i, (i + 2) % 4, 5 + i, i % 2 == 1) for i in range(3)]
     friendly = walk(0, 0, 7, with_item=True)
-    goal = friendly.truth
-    assert goal is not None
-    truth = Truth(goal.goal_red, goal.goal_red)
+    goal = friendly.truth.goal_red
+    truth = Truth(goal, goal)
     return [*walks, Event(friendly.scene, friendly.observation, "both", truth)]
 
 
-def make_set(folder: Path, events: Sequence[Event], splits: Sequence[str]) -> Path:
-    """Write events as a generated data set, each in its split."""
-    folder.mkdir()
+def make_set(
+    folder: Path,
+    events: Sequence[Event],
+    splits: Sequence[str],
+    told: Sequence[dict[str, Any]] | None = None,
+    **manifest: Any,
+) -> Path:
+    """Write a generated set, with what is told of each event beside its split."""
+    folder.mkdir(exist_ok=True)
     save_events(events, folder / EVENTS)
     plan = Plan(cells={"collab": len(events)}).to_dict()
     entries = [
-        {"id": event.id, "split": split, "checksum": checksum(event)}
-        for event, split in zip(events, splits, strict=True)
+        {"id": event.id, "split": split, "checksum": checksum(event), **more}
+        for event, split, more in zip(events, splits, told or [{}] * len(events), strict=True)
     ]
     write_json(folder / PLAN, plan)
-    write_json(folder / MANIFEST, {"schema": MANIFEST_SCHEMA, "plan": plan, "entries": entries})
+    record = {"schema": MANIFEST_SCHEMA, "plan": plan, "entries": entries, **manifest}
+    write_json(folder / MANIFEST, record)
     return folder

@@ -11,7 +11,6 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.geometry import penetration
 from tests.agents.scenes import FULL_WALL_UP, scene
 
 QUICK = ppl.PlannerConfig(simulations=60, particles=20)
@@ -29,7 +28,6 @@ def event() -> ppl.Event:
 
 def test_an_event_knows_what_its_agents_thought(event: ppl.Event) -> None:
     thoughts = event.thoughts
-    assert thoughts is not None
     assert len(thoughts.subgoals) == len(thoughts.actions) == 29
     assert thoughts.particles.shape == (29, 2, 20, 4, 3)
     assert thoughts.seen[:, [0, 1], [0, 1]].all()  # itself
@@ -73,13 +71,3 @@ def test_bodies_that_overlap_are_refused_with_how_far() -> None:
         with pytest.raises(InvalidEventError, match=words):
             ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK)
         ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK, overlapping=True)
-
-
-def test_penetration_is_the_way_out() -> None:
-    square = np.array([[0.0, 0.0], [0.0, 2.0], [2.0, 2.0], [2.0, 0.0]])
-    assert penetration(square, square + 1.5) == pytest.approx(0.5)
-    assert penetration(square, square + 2.5) == 0
-    assert penetration(square, np.array([[2.5, 1.0]]), 1.0) == pytest.approx(0.5)
-    corner = np.array([[2.5, 2.5]])
-    assert penetration(square, corner, 1.0) == pytest.approx(1 - np.sqrt(0.5))
-    assert penetration(corner, corner, 2.0) == pytest.approx(2.0)

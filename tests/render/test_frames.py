@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.path import Path as Polygon
 from numpy.typing import NDArray
 
 from phase_ppl.agents import vision
@@ -111,19 +112,6 @@ def test_what_is_out_of_the_picture_is_not_drawn_and_what_is_half_out_in_part() 
             frame(wrong)
 
 
-# --- fields of view are drawn by the simulator's rule ---------------------------------------------
-
-
-def inside(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Whether each of (n, 2) points is inside a polygon: a ray to the right crosses it oddly."""
-    x, y = points[:, :1], points[:, 1:]
-    (ax, ay), (bx, by) = corners.T, np.roll(corners, -1, axis=0).T
-    between = (ay > y) != (by > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = ax + (y - ay) * (bx - ax) / (by - ay)
-    return np.asarray((between & (x < crossing)).sum(axis=1) % 2 == 1)
-
-
 def distance_to_edge(corners: FloatArray, points: FloatArray) -> FloatArray:
     edge = np.roll(corners, -1, axis=0) - corners
     offset = points[:, None] - corners
@@ -159,7 +147,7 @@ def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see() -> None:
         corners = field_of_view(scene, scene.start, agent)
         clear = distance_to_edge(corners, points) > 0.01
         far += int(clear.sum())
-        different += int((inside(corners, points) != visible)[clear].sum())
+        different += int((Polygon(corners).contains_points(points) != visible)[clear].sum())
         in_view += int(visible.sum())
     assert far > 7500
     assert in_view > 600
@@ -181,11 +169,8 @@ def test_an_agent_whose_eye_lies_in_a_wall_or_in_another_body_sees_as_the_rule_s
     held = alone(start=[[16.0, 12.1, 0.0], [8, 4, 0], [16.0, 12.3, 0.0], [20, 4, 0]])
     corners = field_of_view(held, held.start, 0)
     points, visible = seen_by_the_simulator(held, 0, np.array([0.03, 0.01]))
-    assert np.array_equal(inside(corners, points), visible)
+    assert np.array_equal(Polygon(corners).contains_points(points), visible)
     assert np.linalg.norm(corners - corners[0], axis=1).max() < 0.31
-
-
-# --- drawn -----------------------------------------------------------------------------------
 
 
 def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:

@@ -17,17 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phase_ppl.render import contact_sheet, image, strip, video, videos
-from phase_ppl.render.frames import (
-    THUMBNAIL,
-    UNKNOWN_COLOUR,
-    Painter,
-    thumbnail,
-)
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-)
+from phase_ppl.render.frames import THUMBNAIL, UNKNOWN_COLOUR, Painter, thumbnail
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.picture import SCENARIO_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
@@ -44,7 +35,6 @@ def read(path: Path) -> tuple[str, NDArray[np.uint8]]:
 
 
 def close(picture: NDArray[np.uint8], row: int, column: int, colour: tuple[int, ...]) -> bool:
-    """Whether a pixel has a colour, but for what video compression does to it."""
     return bool(np.abs(picture[row, column].astype(int) - colour).max() < 25)
 
 
@@ -148,9 +138,6 @@ def test_an_interrupted_video_leaves_the_old_one_and_an_encoder_that_fails_nothi
     assert list(tmp_path.iterdir()) == [target]
 
 
-# --- stills and film strips ------------------------------------------------------------------
-
-
 def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path) -> None:
     event, n = make_event(n_frames=4), 4
     strip(event.observation, tmp_path / "strip.png", n=n, scene=event.scene)
@@ -161,9 +148,6 @@ def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path) -> No
         blue_landmark = panel[62, 62].astype(int)
         assert np.abs(blue_landmark - (45, 45, 180)).max() < 5
         assert panel[300:].min() < 150  # the caption
-
-
-# --- pictures of whole sets, and their videos -----------------------------------------------------
 
 
 def named(*ids: str) -> list[Event]:
@@ -209,9 +193,6 @@ def test_a_sheet_has_a_thumbnail_and_a_colour_for_each_event(tmp_path: Path) -> 
     contact_sheet(named(*"abcdefghi"), file, progress=False)
     with Image.open(file) as picture:
         assert 0.75 < picture.width / picture.height < 1, "it is about square"
-
-
-# --- videos ------------------------------------------------------------------------------------
 
 
 def test_every_event_gets_a_video_and_none_is_made_twice(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ import distributed
 
 @contextlib.contextmanager
 def local_cluster(n_workers: int = 2) -> Iterator[tuple[Any, Any]]:
-    """Yield a cluster on this machine, and its client."""
     # A free port for the dashboard: tests that run beside each other have a cluster each.
     of: Any = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
     with (
@@ -27,18 +26,15 @@ def local_cluster(n_workers: int = 2) -> Iterator[tuple[Any, Any]]:
 
 
 def note(folder: Path) -> None:
-    """Leave a file that says in which process something began."""
     (folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
 
 def processes(folder: Path) -> set[int]:
-    """Return the processes that left notes."""
     return {int(file.name.split("-")[0]) for file in folder.iterdir()}
 
 
 @contextlib.contextmanager
 def the_third_killed(folder: Path) -> Iterator[None]:
-    """Kill the process of the third note while it is at work."""
     killed: list[int] = []
 
     def kill() -> None:

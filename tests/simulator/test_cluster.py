@@ -14,10 +14,7 @@ import phase_ppl as ppl
 from tests.inference.toy import walkers, walking_event
 from tests.simulator.clusters import local_cluster, note, processes, the_third_killed
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(os.name != "posix", reason="kills a process"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="kills a process")]
 
 OPTIONS: Any = {"kernel": "prior_mh", "chains": 4, "iterations": 2, "seed": 3, "progress": False}
 

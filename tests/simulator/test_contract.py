@@ -53,6 +53,9 @@ BAD: list[tuple[Callable[..., Any], int, str]] = [
     (lambda *_: [START] * 3, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
     (lambda *_: [START, START * np.nan], 1,
      "SimulationError: frame 1 holds a value that is not finite"),
+    (lambda *_: [START + 1e300], 0, "SimulationError: frame 0 holds a value that is not finite"),
+    (lambda *_: [np.ma.masked_greater(START, 9.0)], 0,
+     "SimulationError: frame 0 holds .*, expected numbers"),
     (lambda *_: [START[:2]], 0,
      r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
     (raises(ZeroDivisionError("no way to divide")), 1,
@@ -82,9 +85,6 @@ class Watched:
                 yield frame
         finally:
             self.closed = True
-
-
-# --- comparing -------------------------------------------------------------------------------
 
 
 def test_the_error_of_a_frame_is_the_distance_over_all_four_entities() -> None:
@@ -130,9 +130,6 @@ def test_the_seed_any_whole_number_determines_a_simulation() -> None:
     assert not np.array_equal(first, other)
     for seed in (0, 2**31 - 1, 2**40, -1, np.int32(7)):
         assert simulate(toys.drift, seed=seed).completed
-
-
-# --- stopping --------------------------------------------------------------------------------
 
 
 def test_no_more_frames_are_taken_than_are_needed() -> None:
@@ -185,9 +182,6 @@ def test_a_simulation_that_is_stopped_closes_after_its_next_frame() -> None:
     stopped.goes_on.set()
     toys.wait_until(lambda: stopped.closed)
     assert stopped.taken == 3
-
-
-# --- failing ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("simulator", "frames", "failure"), BAD)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 
@@ -12,12 +11,11 @@ import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.geometry import is_on
-from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
+from tests.agents.scenes import scene
 
 QUICK = ppl.PlannerConfig(simulations=150)
 RED_LANDMARK = scene().landmark_centres[2], scene().landmark_half_width
 GO = ppl.Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
-CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
 
 
 def frames(where: ppl.Scene, hypothesis: ppl.Hypothesis, n: int, seed: int = 0) -> np.ndarray:
@@ -37,22 +35,6 @@ def test_an_agent_reaches_its_landmark_and_stops_there() -> None:
     path = frames(where, GO, 40)
     assert is_on(path[-1, 0, :2], *RED_LANDMARK)
     assert np.abs(np.diff(path[-5:, 0, :2], axis=0)).max() < 0.3
-
-
-def test_an_agent_carries_an_item_to_its_landmark() -> None:
-    where = scene(red=(18.0, 8.0, math.pi), blue=(18.0, 5.0), green=(23.5, 19.0, 0.0))
-    path = frames(where, CARRY, 60)
-    assert not is_on(path[0, 2, :2], *RED_LANDMARK)
-    assert is_on(path[-1, 2, :2], *RED_LANDMARK)
-
-
-def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:
-    places: Any = {"red": (14, 18, 0.0), "blue": (8, 8), "pink": (24, 10), "green": (24, 20, 0.0)}
-    where = scene(**places, walls=[FULL_WALL_UP, HALF_WALL_LEFT])
-    goals = ppl.Hypothesis("Get blue item to yellow lm", "Get green agent to green lm")
-    path = frames(where, goals, 80)
-    gap = np.linalg.norm(path[:, 0, :2] - path[:, 2, :2], axis=1)
-    assert gap.min() < 2.5
 
 
 def test_a_chaser_closes_in_on_one_that_stands_still() -> None:

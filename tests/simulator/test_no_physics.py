@@ -66,9 +66,6 @@ def test_one_that_flees_is_not_caught_by_one_that_is_as_fast() -> None:
     assert np.linalg.norm(caught[-1, 0, :2] - caught[-1, 1, :2]) < 2.0
 
 
-# --- agents that know the true state -----------------------------------------------------------
-
-
 def test_agents_that_plan_on_the_true_state_go_straight_to_a_hidden_item() -> None:
     where = scene(red=(14.0, 18.0, 0.0), blue=(8.0, 8.0), walls=[FULL_WALL_UP, HALF_WALL_LEFT])
     config = ppl.PlannerConfig(particles=10, true_state=True)
@@ -78,9 +75,6 @@ def test_agents_that_plan_on_the_true_state_go_straight_to_a_hidden_item() -> No
     ]
     assert np.array_equal(*ends)  # nothing is left to chance
     assert np.linalg.norm(ends[0][0, :2] - ends[0][2, :2]) < 2.5
-
-
-# --- noise -------------------------------------------------------------------------------------
 
 
 def test_a_deflected_body_goes_on_from_where_it_is_in_another_direction() -> None:

@@ -101,31 +101,17 @@ class KillsItsWorker:
         yield from drift(scene, hypothesis, rng)
 
 
-class CountsRuns:
-    """Drifts, and leaves a file per run."""
+class Slips:
+    """Leaves files where it travels to a process and warms up; tells its process if weak.
+
+    It fails if it runs cold.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-        number = rng.bit_generator.seed_seq.generate_state(1)[0]  # type: ignore[attr-defined]
-        (self.folder / f"{number}-{time.monotonic_ns()}").touch()
-        yield from drift(scene, hypothesis, rng)
-
-
-class Slips:
-    """Leaves files where it travels to a process and warms up; tells its process if weak.
-
-    It cannot be loaded where it is told so, and fails if it runs cold.
-    """
-
-    def __init__(self, folder: Path, loads: bool = True) -> None:
-        self.folder, self.loads = folder, loads
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        if not self.loads:
-            raise ImportError("no such engine here")
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
     def warm_up(self) -> None:

@@ -29,7 +29,6 @@ RADIUS = [0.8, 1.2, 1.01, 1.6]
 def check_refused(
     make: Callable[[], object], message: str, error: type[Exception] = PhasePPLError
 ) -> None:
-    """What cannot be gets one clear line."""
     with pytest.raises(error, match=re.escape(message)) as raised:
         make()
     assert "\n" not in str(raised.value)
@@ -45,7 +44,6 @@ def walls(**length: float) -> NDArray[np.float64]:
 
 
 def make_scene(**changes: object) -> Scene:
-    """Return a valid scene with some fields replaced."""
     fields: dict[str, object] = {"start": START, "radius": RADIUS, "walls": walls(up=10, left=7.5)}
     return Scene(**{**fields, **changes})  # type: ignore[arg-type]
 
@@ -59,7 +57,6 @@ def make_trajectory(n_frames: int = 4) -> NDArray[np.float64]:
 
 
 def make_event(n_frames: int = 4, id: str = "example") -> Event:
-    """Return a valid event with truth, judgments and predictions."""
     return Event(
         scene=make_scene(),
         observation=Observation(make_trajectory(n_frames)),

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from phase_ppl.world.errors import (
-    InvalidSettingError,
     OutputError,
     UnknownNameError,
     check_name,
-    nonnegative_number,
-    positive_number,
     unknown_name,
 )
 from phase_ppl.world.files import atomic_output, locked
@@ -85,18 +81,3 @@ def test_a_lock_is_for_one_at_a_time_and_leaves_nothing(tmp_path: Path) -> None:
         with locked(target), locked(None):
             pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_numbers_of_all_kinds_become_floats_and_nothing_else_does() -> None:
-    for value in (2, 2.0, np.float32(2), np.int64(2)):
-        for check in (positive_number, nonnegative_number):
-            found = check("x", value)
-            assert type(found) is float
-            assert found == 2.0
-    assert nonnegative_number("x", 0) == 0.0
-    for bad in (-1, math.nan, math.inf, 10**400, "2", True, None, 0):
-        with pytest.raises(InvalidSettingError, match=r"^x=.* expected a positive number"):
-            positive_number("x", bad)
-        if bad != 0:
-            with pytest.raises(InvalidSettingError, match=r"^x=.* expected a number >= 0"):
-                nonnegative_number("x", bad)

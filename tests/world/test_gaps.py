@@ -22,7 +22,6 @@ PINK = 3
 
 
 def with_gap() -> Event:
-    """Six frames: the pink item is unseen in two, the angle of the red agent in one."""
     seen = make_trajectory(6).copy()
     seen[2:4, PINK] = np.nan
     seen[1, 0, 2] = np.nan

@@ -112,7 +112,6 @@ def item_and_landmark(goal: str) -> list[str] | None:
 
 
 def expected_scenario(red: str, green: str) -> str:
-    """The definition, on the strings alone."""
     if red == green or (red, green) == ("get to green agent", "get to red agent"):
         return "collaborative"
     about_landmarks = red.startswith("Get") and green.startswith("Get")
@@ -148,7 +147,6 @@ def test_true_scenarios_and_relations_of_the_published_videos_follow_from_the_go
     counts: Counter[str] = Counter()
     for event in events:
         truth = event.truth
-        assert truth is not None
         assert truth.scenario == scenario(truth.goal_red, truth.goal_green), event.id
         assert truth.relation == relation(truth.goal_red, truth.goal_green), event.id
         counts[truth.scenario] += 1

@@ -10,9 +10,7 @@ from phase_ppl.world import progress
 from phase_ppl.world.progress import WARMING_UP, Progress
 
 
-def test_the_bar_says_that_it_warms_up_until_the_first_simulation(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_bar_warms_up_until_the_first_simulation(capsys: pytest.CaptureFixture[str]) -> None:
     with Progress(2, shown=True) as bar:
         waiting = capsys.readouterr().err
         bar.one_more()

@@ -17,7 +17,6 @@ from phase_ppl.world.errors import InvalidSettingError
 
 @pytest.fixture
 def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Registries forget what a test registers."""
     for registry in (KERNELS, MODELS, FAMILIES):
         registry.names()
         monkeypatch.setattr(registry, "entries", dict(registry.entries))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import pickle
 import re
 
 import numpy as np
@@ -14,13 +13,7 @@ import pytest
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.scene import LANDMARK_CENTRES
-from tests.world.examples import (
-    START,
-    check_refused,
-    make_event,
-    make_scene,
-    make_trajectory,
-)
+from tests.world.examples import START, check_refused, make_scene, make_trajectory
 
 BAD_SCENES: list[tuple[str, dict[str, object]]] = [
     ("scene.start[0, 0] is nan", {"start": np.where(np.eye(4, 3), math.nan, START)}),
@@ -53,16 +46,6 @@ def test_a_scene_cannot_be_changed_by_accident() -> None:
         scene.start[0, 0] = 25.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         scene.turning = "cw"  # type: ignore[misc]
-
-
-def test_an_event_can_be_sent_to_another_process() -> None:
-    event = make_event()
-    route = event.scene.rooms.route(0, 2)
-    copy = pickle.loads(pickle.dumps(event))
-    assert copy.scene.rooms.route(0, 2) == route
-    assert np.array_equal(copy.observation.trajectory, event.observation.trajectory)
-    assert np.array_equal(copy.scene.walls, event.scene.walls)
-    assert (copy.id, copy.truth, copy.judgments) == (event.id, event.truth, event.judgments)
 
 
 def test_an_observation_needs_two_finite_frames_of_all_inside_the_arena() -> None:

@@ -97,7 +97,6 @@ def expected(copy: int | None) -> Recording:
 
 
 def name_of(copy: int | None, stamp: str = STAMP) -> str:
-    """Return the file name, without an ending."""
     place = f"E{LAYOUT}" + ("" if copy is None else f".{copy}")
     return (
         f"{stamp}_0_F8_{place}_G['LMO', 0, {LANDMARK[copy]}, 1]_['TE', 1, 0, 1]_ST3_0_SZ0_1_0_3"

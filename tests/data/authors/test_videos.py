@@ -12,13 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.data.authors import (
-    Place,
-    Recorded,
-    goal_string,
-    parse_name,
-    repaired,
-)
+from phase_ppl.data.authors import Place, Recorded, goal_string, parse_name, repaired
 from phase_ppl.data.load import load_event, load_events
 from phase_ppl.data.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
@@ -56,7 +50,6 @@ def assert_shows(event: Event, copy: int | None) -> None:
     np.testing.assert_array_equal(event.scene.start, got[0])
     np.testing.assert_array_equal(event.scene.radius, made.scene.radius)
     assert event.scene.rooms.wall_length.tolist() == made.scene.rooms.wall_length.tolist()
-    assert event.truth is not None
     red, green = made.hypothesis.effective_goals
     assert (event.truth.goal_red, event.truth.goal_green) == (GOALS[red], GOALS[green])
     assert (event.truth.strength_red, event.truth.strength_green) == (600.0, 150.0)
@@ -173,8 +166,6 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path) -> None:
             assert message in said
 
 
-# --- names ----------------------------------------------------------------------------------------
-
 TRUTH = Truth(
     "Get blue item to red lm", "get to red agent", strength_red=600.0, strength_green=150.0
 )
@@ -208,8 +199,6 @@ def test_numbers_of_a_goal_stand_for_a_string_of_the_paper() -> None:
     for (numbers, holder), string in GOAL_OF_NUMBERS.items():
         assert goal_string(numbers, holder) == string
 
-
-# --- angles of copies -----------------------------------------------------------------------------
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 TURN = 2 * np.pi

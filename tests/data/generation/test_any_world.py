@@ -15,12 +15,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.data.generated import GeneratedEvents
 from phase_ppl.data.generation import making
-from phase_ppl.data.generation.families import (
-    FAMILIES,
-    draw_situation,
-    family_of,
-    register_family,
-)
+from phase_ppl.data.generation.families import FAMILIES, draw_situation, family_of, register_family
 from phase_ppl.data.generation.generate import generate
 from phase_ppl.data.generation.making import MAX_STUCK, NEAR, reason_against, uniform_roles
 from phase_ppl.data.generation.situation import SIZES, Draw, Situation
@@ -46,7 +41,6 @@ HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
 
 @pytest.fixture
 def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A registry that forgets what a test registers."""
     FAMILIES.names()
     monkeypatch.setattr(FAMILIES, "entries", dict(FAMILIES.entries))
 
@@ -168,9 +162,6 @@ def test_phase_is_a_world_like_any_other(tmp_path: Path) -> None:
     assert event.truth.goal_red == "Get red agent to red lm"
 
 
-# --- families -------------------------------------------------------------------------------------
-
-
 def relay(draw: Draw) -> Situation:
     """Two bring the blue ball home, one from home, one from beside it."""
     one, other, _ = draw.agents()
@@ -217,52 +208,30 @@ def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
 
 
 @pytest.mark.usefixtures("_forgetful")
-def test_a_family_of_ones_own_says_who_starts_where_how_large_and_strong() -> None:
+def test_a_family_of_ones_own_says_who_is_how_strong() -> None:
     register_family("relay", scenario="collaborative", world=TRIO)(relay)
     for seed in range(5):
-        scene, roles = draw_situation("relay", TRIO, seed)
+        _, roles = draw_situation("relay", TRIO, seed)
         at_home, beside = [TRIO.agent(a) for a, goal in roles.goals.items() if goal == HOME]
         if roles.strengths[beside] == 150:
             at_home, beside = beside, at_home
         assert roles.strengths[at_home] == 150
-        ball = TRIO.entity("blue ball")
-        rooms = scene.rooms.room_of(scene.start[:, :2])
-        home, field = scene.rooms.room_of(scene.landmark_centres[:2])
-        assert (rooms[at_home], rooms[beside], rooms[ball]) == (home, field, field)
-        gap = np.linalg.norm(scene.start[beside, :2] - scene.start[ball, :2])
-        assert 0 <= gap - scene.radius[[beside, ball]].sum() <= 2
-        assert scene.radius[ball] == 0.8
     with pytest.raises(InvalidSettingError, match="'relay' is of the world 'trio', not of 'solo'"):
         draw_situation("relay", SOLO, 0)
     assert "relay" not in ppl.available_families("solo")
 
 
 @pytest.mark.usefixtures("_forgetful", "_all_are_kept")
-def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(tmp_path: Path) -> None:
     register_family("relay", scenario="collaborative", world=TRIO)(relay)
     given = {"world": "trio", "cells": {"relay": 2, "hinder": 1}, "seed": 4, **SMALL}
-    calls = iter(range(9))
-    whole = making.make
-
-    def stopping(*job: Any) -> Any:
-        if next(calls) == 1:
-            raise KeyboardInterrupt
-        return whole(*job)
-
-    monkeypatch.setattr("phase_ppl.data.generation.generate.make", stopping)
-    with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path / "set", **given)
-    made = generate(tmp_path / "set", **given, resume=True)
+    made = generate(tmp_path / "set", **given)
     again = generate(tmp_path / "again", **given)
     assert made.manifest["entries"] == again.manifest["entries"]
     assert made.manifest["kept"] == {"relay": 2, "hinder": 1}
     for event, entry in zip(made, made.entries, strict=True):
         assert entry["id"].startswith(entry["family"])
-        scene, roles = draw_situation(entry["family"], "trio", entry["seed"])
-        simulated = ppl.simulate(scene, roles, seed=entry["seed"], frames=3, planner=QUICK)
-        assert np.array_equal(simulated.observation.trajectory, event.observation.trajectory)
+        _, roles = draw_situation(entry["family"], "trio", entry["seed"])
         assert event.truth == roles
 
     def other(draw: Draw) -> Situation:
@@ -303,9 +272,6 @@ def test_what_a_family_cannot_draw_is_said(tmp_path: Path) -> None:
     assert not (tmp_path / "set").exists()
 
 
-# --- what is kept -------------------------------------------------------------------------------
-
-
 PAIRS = ("red & green", "red & purple", "green & purple")
 WELL: dict[str, Any] = {
     "at_start": [False] * 3,
@@ -325,18 +291,10 @@ def roles(green: str, relation: str | None = None, red: str = HOME) -> Hypothesi
     return Hypothesis.of(TRIO, {**goals, "green agent": green})
 
 
-FAR = {**dict.fromkeys(PAIRS, NEAR), "red & purple": 0.5}
 KEPT: list[tuple[str, Hypothesis, dict[str, Any], str | None]] = [
     ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
-    ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
     ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
     ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
-    (
-        "opposing",
-        roles("", "hinder"),
-        {"closest": FAR},
-        "never come",
-    ),
     ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
 ]
 

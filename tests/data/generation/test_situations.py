@@ -30,14 +30,7 @@ from phase_ppl.data.generation.making import (
     recoloured,
     reflected,
 )
-from phase_ppl.data.generation.situation import (
-    LAYOUTS,
-    SIZES,
-    Draw,
-    Situation,
-    overlaps,
-    walls_of,
-)
+from phase_ppl.data.generation.situation import LAYOUTS, SIZES, Draw, Situation, overlaps, walls_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal
@@ -199,9 +192,6 @@ def test_what_is_no_family_is_refused(own: Callable[..., Family]) -> None:
             family_of(cell)
 
 
-# --- what a recording shows -----------------------------------------------------------------------
-
-
 def verdict(made: Recording, scenario: str) -> str | None:
     return reason_against(scenario, made.hypothesis, measures(made))
 
@@ -240,9 +230,6 @@ def test_recordings_end_soon_after_the_last_motion() -> None:
     still = np.concatenate([walk(0, (8.5, 19.0), 40), walk(0, (8.5, 19.0))[-1:].repeat(60, 0)])
     assert after_motion(still) == 40 + AFTER_MOTION
     assert after_motion(np.repeat(START[None], 101, axis=0)) == SHORTEST
-
-
-# --- copies look different and mean the same ------------------------------------------------------
 
 
 def goals(made: Recording) -> tuple[str, str]:

@@ -31,9 +31,7 @@ def hidden(event: ppl.Event, frames: slice, bodies: Any) -> ppl.Event:
 
 
 def infer(event: ppl.Event, given: ppl.Model = QUICK) -> ppl.StepwisePosterior:
-    post = ppl.infer(event, given, workers=1, progress=False)
-    assert isinstance(post, ppl.StepwisePosterior)
-    return post
+    return ppl.infer(event, given, workers=1, progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -130,9 +128,6 @@ def test_worlds_of_any_number_of_agents_are_read_with_gaps() -> None:
     post = infer(event)
     goal = f"goal_{world.agents[0].split()[0]}"
     np.testing.assert_allclose(post.at(3).marginal(goal).sum(), 1.0)
-
-
-# --- by a simulator of one's own ------------------------------------------------------------------
 
 
 class OfLastSeen(Draws):
