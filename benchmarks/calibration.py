@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.evaluation.table import true_answers
 from phase_ppl.inference.registry import kernel_info
 from tests.inference.toy import walkers, walking_event
@@ -53,7 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     how: dict[str, Any] = {"out": options.out, "resume": options.out is not None}
     if options.closed_loop:
-        likelihood = ppl.StepwiseLikelihood(weight=options.weight)
+        likelihood = ppl.ClosedLoopLikelihood(weight=options.weight)
         model = ppl.Model(likelihood=likelihood)
         found = ppl.calibrate(model, options.events, frames=options.frames or 31, **how)
     elif options.simple:
@@ -90,10 +90,10 @@ def reweighed(out: Path, weights: list[float]) -> pd.DataFrame:
     for event in ppl.load_events(out / "events.json"):
         (folder,) = (out / "events").glob(f"*-{event.id}")
         post = ppl.load_posterior(folder / "posterior.nc")
-        assert isinstance(post, StepwisePosterior)
+        assert isinstance(post, ClosedLoopPosterior)
         answers = true_answers(event)
         for weight in weights:
-            anew = StepwisePosterior(post.dataset.assign_attrs(weight=weight), prior=post.prior)
+            anew = ClosedLoopPosterior(post.dataset.assign_attrs(weight=weight), prior=post.prior)
             for question, truth in answers.items():
                 p = anew.marginal(question).to_series()
                 kind = question.split("_")[0]

@@ -56,7 +56,7 @@ def same_walls(one: Event, other: Event) -> bool:
 
 def answers(event: Event) -> dict[str, dict[str, float]]:
     """Return the closed loop's probabilities of goals and relation."""
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     post = ppl.infer(event, model, seed=0, workers=1, progress=False)
     return {name: {k: float(p) for k, p in post.top(name, 40)} for name in ASKED}
 

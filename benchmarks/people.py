@@ -205,7 +205,7 @@ def population(
     real: dict[str, float] = {}
     cues: dict[str, FloatArray] = {}
     if like == "people":
-        known = ppl.FittedObserver.named(PEOPLE, "stepwise").draws
+        known = ppl.FittedObserver.named(PEOPLE, "closed_loop").draws
         draw = int(rng.integers(len(known["spread"])))
         real = {k: float(values[draw]) for k, values in known.items()}
         seen = real_cues()

@@ -29,7 +29,9 @@ def settings() -> dict[str, ppl.Model]:
     """Return the rows of the table."""
 
     def model(sets: int = 4, tracking: ppl.Tracking | None = None, **planner: Any) -> ppl.Model:
-        likelihood = ppl.StepwiseLikelihood(planner_seeds=sets, tracking=tracking or ppl.Tracking())
+        likelihood = ppl.ClosedLoopLikelihood(
+            planner_seeds=sets, tracking=tracking or ppl.Tracking()
+        )
         fast = dataclasses.replace(ppl.PlannerConfig.named("fast"), **planner)
         return ppl.Model(likelihood=likelihood, planner=fast)
 

@@ -40,7 +40,7 @@ def world_of(agents: int, landmarks: int) -> ppl.World:
 def measure(agents: int, landmarks: int, scenes: int, frames: int) -> dict[str, Any]:
     """Return what one size of world costs, in CPU milliseconds."""
     world = world_of(agents, landmarks)
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     decisions, read, searches = [], [], []
     for seed in range(scenes + 1):
         roles = ppl.roles.draw(world, seed)

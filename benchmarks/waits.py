@@ -46,7 +46,7 @@ LISTED = 12  # functions that took longest to compile
 
 
 def closed_loop(sets: int) -> ppl.Model:
-    return ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=sets))
+    return ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=sets))
 
 
 def machine(_: Any) -> dict[str, float]:
@@ -85,7 +85,7 @@ began = time.process_time()
 if sys.argv[1] == "simple":
     ppl.infer(seen, kernel="local_mh", budget=ppl.simulations(30), workers=1, progress=False)
 else:
-    ppl.infer(seen, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1)), progress=False)
+    ppl.infer(seen, ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1)), progress=False)
 print(json.dumps({"cpu_s": time.process_time() - began, "compiling": dict(spent)}))
 """
 

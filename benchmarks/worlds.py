@@ -56,7 +56,12 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     )
     seeds = options.planner_seeds
     read = ppl.evaluate(
-        events, "stepwise", planner_seeds=seeds, seed=options.seed, out=out / "stepwise", **given
+        events,
+        "closed_loop",
+        planner_seeds=seeds,
+        seed=options.seed,
+        out=out / "closed_loop",
+        **given,
     )
     symbolic = ppl.evaluate(events, "predicate", out=out / "predicate", **given)
     last = ppl.evaluate(events, "last_frame", out=out / "last_frame", **given)
@@ -72,7 +77,7 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     print(read, symbolic, sep="\n\n")
     print(f"\nlast frame: {left:.2f}; {per_frame['cpu_seconds']:.3f} CPU seconds and "
           f"{per_frame['searches']:.0f} searches a frame")  # fmt: skip
-    models = {"stepwise": read, "predicate": symbolic, "last_frame": last}
+    models = {"closed_loop": read, "predicate": symbolic, "last_frame": last}
     if options.kernel:
         models[options.kernel] = ppl.evaluate(
             events,
@@ -85,7 +90,7 @@ def measure(options: argparse.Namespace, out: Path) -> None:
         )
         print(f"\n{models[options.kernel]}")
     report = {name: found.metrics for name, found in models.items()}
-    report["stepwise"]["per_frame"] = per_frame
+    report["closed_loop"]["per_frame"] = per_frame
     report["last_frame"]["probability_of_true_goal"] = left
     common.write(report, options.json)
 

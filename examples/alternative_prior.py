@@ -30,7 +30,7 @@ def main() -> None:
     event = ppl.load_event("collaborate")
     start = ppl.Observation(event.observation.trajectory[:20])  # too short for a sure answer
     event = dataclasses.replace(event, observation=start)
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     post = ppl.infer(event, model)
     print("the paper's prior:", *post.top("relation"))
     print("sparse_social, a ready-made one:", *post.with_prior("sparse_social").top("relation"))

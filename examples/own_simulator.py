@@ -74,11 +74,11 @@ def main() -> None:
     frames = simulator(scene, truth, np.random.default_rng(4))
     event = ppl.Event(scene, ppl.Observation([next(frames) for _ in range(30)]), id="walkers")
     print(f"truth: {truth}")
-    stepwise = ppl.Model(few_goals, simulator, ppl.StepwiseLikelihood())
+    closed_loop = ppl.Model(few_goals, simulator, ppl.ClosedLoopLikelihood())
     sampling = {"kernel": "importance", "chains": 20, "iterations": 10}
     for name, model, options in (
         ("200 whole videos", ppl.Model(few_goals, simulator), sampling),
-        ("closed loop", stepwise, {}),
+        ("closed loop", closed_loop, {}),
     ):
         clock = time.perf_counter()
         post = ppl.infer(event, model, workers=1, progress=False, **options)

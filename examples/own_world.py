@@ -33,7 +33,7 @@ def main() -> None:
     print(event.truth)
     ppl.render.strip(event, "nursery.png", n=4)
 
-    post = ppl.infer(event, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1)))
+    post = ppl.infer(event, ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1)))
     print("Ann:", *post.top("goal_ann", 2))
     print("Ben:", *post.top("goal_ben", 2))
     print("P(Ben helps) =", post.query("P(alpha_ben_ann = 1)"))

@@ -15,7 +15,7 @@ def main() -> None:
     event = dataclasses.replace(
         event, observation=ppl.Observation(event.observation.trajectory[:20])
     )
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=2))
     post = ppl.infer(event, model)
 
     print("red wants", *post.top("goal_red", 3))  # probabilities with their Monte-Carlo errors

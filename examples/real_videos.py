@@ -36,7 +36,7 @@ def main() -> None:
     events = ppl.load_events(path)
     print(f"{len(events)} videos in {path.name}")
     shortest = sorted(events, key=lambda event: event.observation.n_frames)[:2]
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     for event in shortest:
         post = ppl.infer(event, model)
         print(event)

@@ -274,7 +274,7 @@ def _of_times(said: Responses, answers: Answers, n_raters: int, n_events: int) -
 
 # --- a model's results as evidence ----------------------------------------------------------------
 
-Made: TypeAlias = "ppl.Posterior | ppl.StepwisePosterior | ppl.Prediction | None"
+Made: TypeAlias = "ppl.Posterior | ppl.ClosedLoopPosterior | ppl.Prediction | None"
 """A model's result for a video; None: only surface cues are known."""
 
 FLOOR: Final = 0.01

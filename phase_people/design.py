@@ -30,7 +30,7 @@ def design(
     models: Mapping[str, Candidate] | Sequence[str],
     question: str = "relation",
     *,
-    source: Candidate = "stepwise",
+    source: Candidate = "closed_loop",
     answers: int = 1,
     lapse: float = LAPSE,
     prior: Mapping[str, float] | None = None,
@@ -87,7 +87,7 @@ def design(
         if _kind("source", source) in ("prior", "observer"):
             raise ppl.errors.InvalidSettingError(
                 f"source={ppl.errors.shown(source)}, expected a source of posteriors, such as "
-                "'stepwise'"
+                "'closed_loop'"
             )
         base = asked_about(chosen, source, **asking)
     rows: list[list[FloatArray]] = []
@@ -152,7 +152,7 @@ def _under(
     found: dict[str, Made] = {}
     for event in ppl.counted(events, progress, "event", label):
         post = base.get(event.id)
-        if not isinstance(post, ppl.Posterior | ppl.StepwisePosterior):
+        if not isinstance(post, ppl.Posterior | ppl.ClosedLoopPosterior):
             raise ppl.errors.InvalidSettingError(
                 f"{label} is a prior, for which the source must have a posterior of {event.id!r}"
             )
@@ -168,7 +168,7 @@ def _predicted(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the answers to a question about an event, their probabilities and errors (2, n)."""
     one = made.get(event)
-    if isinstance(one, ppl.Posterior | ppl.StepwisePosterior):
+    if isinstance(one, ppl.Posterior | ppl.ClosedLoopPosterior):
         marginal = one.marginal(question)
         names = tuple(str(name) for name in marginal[question].values)
         return names, np.stack([marginal.values, marginal["error"].values])

@@ -24,7 +24,7 @@ def fit_people(
     judgments: str | os.PathLike[str] | ppl.Study | None = None,
     observer: str | Program = "company",
     *,
-    source: Source = "stepwise",
+    source: Source = "closed_loop",
     perception: Perception | None = None,
     moments: bool = False,
     draws: int = 500,
@@ -109,14 +109,14 @@ def _stopped(
             )
             found.append(stopped)
             one = None if made is None else made[event.id]
-            if isinstance(one, ppl.StepwisePosterior):
+            if isinstance(one, ppl.ClosedLoopPosterior):
                 until[name] = one.at(min(seen.n_frames - 1, one.frame))
             elif isinstance(one, ppl.Prediction) and at in one.moments:
                 until[name] = one.at(at)
             elif made is not None:
                 raise ppl.errors.InvalidSettingError(
                     f"event {event.id!r}: what the model said at {at:g} s is not known; "
-                    "source='stepwise' is known at every moment"
+                    "source='closed_loop' is known at every moment"
                 )
     if not found:
         raise ppl.errors.InvalidEventError("nobody judged any of the events at a moment")
@@ -125,7 +125,7 @@ def _stopped(
 
 def evidence_from(
     events: Sequence[ppl.Event],
-    source: Source = "stepwise",
+    source: Source = "closed_loop",
     perception: Perception | None = None,
     **options: Any,
 ) -> Evidence:

@@ -40,6 +40,7 @@ __all__ = [
     "Evidence",
     "Observer",
     "cues",
+    "inverse_temperature",
     "lapse",
     "leak",
     "log_shares",
@@ -48,7 +49,6 @@ __all__ = [
     "respond",
     "samples",
     "saturation",
-    "sharpness",
     "tilt",
     "weight",
 ]
@@ -150,7 +150,7 @@ class Belief(NamedTuple):
     Attributes:
         likelihood: (percept, event, hypothesis) log likelihood, unnormalised.
         prior: (event, hypothesis) log prior mass, unnormalised.
-        sharpness: exponent of the probabilities of answers.
+        inverse_temperature: exponent of the probabilities of answers.
         samples: number of hypotheses drawn from the belief before answering; each answer counts
             once more than it was drawn. Infinitely many give the belief itself.
         lapse: probability of an answer at random.
@@ -158,7 +158,7 @@ class Belief(NamedTuple):
 
     likelihood: Array
     prior: Array
-    sharpness: Array | float = 1.0
+    inverse_temperature: Array | float = 1.0
     samples: Array | float = math.inf
     lapse: Array | float = 0.0
 
@@ -331,9 +331,11 @@ def cues(**toward: str) -> Part:
     return part
 
 
-def sharpness(belief: Belief, evidence: Evidence) -> Belief:
-    """Raise the probabilities of answers to the power ``sharpness``, an inverse temperature."""
-    return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
+def inverse_temperature(belief: Belief, evidence: Evidence) -> Belief:
+    """Raise the probabilities of answers to the power ``inverse_temperature``."""
+    return belief._replace(
+        inverse_temperature=numpyro.sample("inverse_temperature", dist.LogNormal(0.0, 0.5))
+    )
 
 
 def samples(belief: Belief, evidence: Evidence) -> Belief:
@@ -355,7 +357,7 @@ def respond(belief: Belief, evidence: Evidence) -> Responses:
     found = {}
     for question in evidence.answers:
         logs = log_shares(log_mass, evidence, question)
-        of_one = jax.nn.softmax(belief.sharpness * logs, axis=-1)
+        of_one = jax.nn.softmax(belief.inverse_temperature * logs, axis=-1)
         shares, n = of_one.mean(axis=0), ANSWERS[question]
         shares = (shares + 1 / belief.samples) / (1 + n / belief.samples)
         found[question] = jnp.log((1 - belief.lapse) * shares + belief.lapse / n + _LEAST)

@@ -19,7 +19,7 @@ def fit_people(options: Any) -> None:
             the events
         --observer NAME...: default company; if several are given, the best is kept
         --source NAME: the model that gives observers their evidence, or the folder of its
-            evaluation, which is not computed again; cues: surface cues alone; default stepwise
+            evaluation, which is not computed again; cues: surface cues alone; default closed_loop
         --out FILE: a .json file; required
         $workers
         $seed

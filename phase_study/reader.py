@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 import phase_ppl as ppl
 from phase_study.room import NOTHING, outline
 
-LIKELIHOOD: Final = ppl.StepwiseLikelihood(planner_seeds=1, weight=0.3)
+LIKELIHOOD: Final = ppl.ClosedLoopLikelihood(planner_seeds=1, weight=0.3)
 MODEL: Final = ppl.Model(likelihood=LIKELIHOOD)
 """What reads: the closed loop with one set of searches, the fastest.
 
@@ -111,7 +111,7 @@ class Reader:
             "why": why,
         }
 
-    def _reason(self, post: ppl.StepwisePosterior, agent: int) -> Said:
+    def _reason(self, post: ppl.ClosedLoopPosterior, agent: int) -> Said:
         """Return which frames spoke for an agent's likeliest goal over the next one."""
         world = self.scene.world
         name = post.goals_of[world.agents[agent]]

@@ -64,7 +64,7 @@ def simulate(
     out: str | os.PathLike[str],
     people: int = 200,
     *,
-    model: str = "stepwise",
+    model: str = "closed_loop",
     predictions: str | os.PathLike[str] | Mapping[str, ppl.Prediction] | None = None,
     options: Mapping[str, Any] | None = None,
     lapse: float = 0.1,

@@ -147,7 +147,7 @@ def simulate(options: Any) -> None:
         FOLDER: of the study
         --people N: default 200
         --out DIR: for the export; required
-        --model NAME: the model whose posterior gives the answers; default stepwise
+        --model NAME: the model whose posterior gives the answers; default closed_loop
         --predictions DIR: of an evaluation of the same events, instead
         --option NAME=VALUE...: of the model; may be given several times
         --lapse X: share of random answers; default 0.1

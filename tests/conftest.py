@@ -76,7 +76,7 @@ WITHOUT_KERNELS = ("models", "analysis")
 WITH_KERNELS = (
     "test_plots.py",
     "test_predicate.py",
-    "test_stepwise_posterior.py",
+    "test_closed_loop_posterior.py",
     "test_what_if.py",
 )
 """Files in these folders that do, and would compile them a second time."""

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from tests.analysis.readings import reading
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -51,12 +51,12 @@ RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
         lambda r: 60 <= r["kernels"]["prior_mh"]["simulations"] < 64, []),
     "simulator.py --only transitions": (lambda r: r["transition_speedup"] > 0, [SLOW]),
     "worlds.py --events 1 --frames 40 --workers 1 --out out": (
-        lambda r: all(r[m]["n_events"] == 1 for m in ("stepwise", "predicate", "last_frame")), []),
+        lambda r: all(r[m]["n_events"] == 1 for m in ("closed_loop", "predicate")), []),
     "large_sets.py --events 8 --frames 34": (lambda r: r["events"] == 8, [SLOW]),
     "attack.py --inputs 12 --kills 2": (lambda r: r["bad"] == [], [SLOW]),
     "calibration.py --events 2 --iterations 8 --kernel prior_mh --figure ranks.png": (
         lambda r: {*map(len, r["ranks"].values())} == {2} and Path("ranks.png").exists(), [SLOW]),
-    "stepwise.py calibration --events 2": (lambda r: 0 <= r["4, 1"]["goals"] <= 1, [SLOW]),
+    "closed_loop.py calibration --events 2": (lambda r: 0 <= r["4, 1"]["goals"] <= 1, [SLOW]),
     "realism.py replay": (
         lambda r: 0 < r["median_error_row5"] < r["median_error_row10"] < 0.2, [REAL]),
     "realism.py ahead --half first --steps 5": (
@@ -69,8 +69,8 @@ RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
         lambda r: {*r} >= {"learned", "paper"}, [REAL]),
     "film.py --limit 1": (lambda r: r["refused"] == {} and r["position"][0] < 0.08, [REAL, SLOW]),
     "filters.py": (lambda r: r["filters"]["all"]["first"]["share"] == 1, [REAL, SLOW]),
-    "stepwise.py replays --limit 4": (lambda r: r["alike"] > 0.85, [REAL, SLOW]),
-    "stepwise.py fit --limit 4 --keep kept": (
+    "closed_loop.py replays --limit 4": (lambda r: r["alike"] > 0.85, [REAL, SLOW]),
+    "closed_loop.py fit --limit 4 --keep kept": (
         lambda r: len(list(Path("kept").glob("*.pkl"))) >= 4, [REAL, SLOW]),
     "predicate.py --limit 4 --workers 1": (
         lambda r: len(r["first"]) == len(r["settings"]), [REAL, SLOW]),
@@ -102,7 +102,7 @@ def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: 
 
 
 def test_decided_answers_are_compared_with_the_truth(tmp_path: Path, figures: Figures) -> None:
-    post = StepwisePosterior(reading())
+    post = ClosedLoopPosterior(reading())
     leaders = {name: one["label"] for name, one in post.leaders().items()}
     assert leaders["goal_red"] == leaders["goal_green"] == "Get blue item to red lm"
     truth = ppl.Truth(leaders["goal_red"], "Get pink item to red lm")

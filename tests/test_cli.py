@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.cli import commands, main
 from phase_ppl.cli.commands import APPLICATIONS
 from phase_ppl.inference.compare import entries
@@ -294,7 +294,7 @@ BAD_INPUT = [
      "the closed loop, which samples nothing: no --kernel, --on-failure, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
     ("infer collaborate --seed 1 --seed 2", "--seed: given twice, 1 and 2"),
-    ("infer collaborate --model stepwise --kernel smc --out o --on-failure raise",
+    ("infer collaborate --model closed_loop --kernel smc --out o --on-failure raise",
      "on_failure='raise' is for simulations"),
     ("resume file", "no checkpoint"),
     ("render collaborate --frame 3 --out x.mp4", "--frame draws a picture: --out"),
@@ -438,7 +438,7 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
 
 
 def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: Capture) -> None:
-    kept = str(StepwisePosterior(reading()).save(tmp_path / "post.nc"))
+    kept = str(ClosedLoopPosterior(reading()).save(tmp_path / "post.nc"))
     source = tmp_path / "mine.py"
     source.write_text(
         "import jax.numpy as jnp, numpyro, numpyro.distributions as dist\n"
@@ -517,12 +517,12 @@ class TestOwnParts:
         assert asked["model"].likelihood == phase_ppl.RadialLikelihood(0.3)
         # those of the closed loop, in two ways
         settings = ["weight=1", "planner_seeds=2", "tail=5"]
-        expected = phase_ppl.StepwiseLikelihood(
+        expected = phase_ppl.ClosedLoopLikelihood(
             weight=1, planner_seeds=2, tracking=phase_ppl.Tracking(tail=5)
         )
         for options in (
-            ["--model", "stepwise", *(word for one in settings for word in ("--option", one))],
-            ["--likelihood", ":".join(["stepwise", *settings])],
+            ["--model", "closed_loop", *(word for one in settings for word in ("--option", one))],
+            ["--likelihood", ":".join(["closed_loop", *settings])],
         ):
             assert "asked" in fails(capsys, "infer", "collaborate", *options)
             assert asked["model"].likelihood == expected
@@ -530,12 +530,12 @@ class TestOwnParts:
     def test_the_closed_loop_reads_unless_a_kernel_samples(
         self, asked: dict[str, Any], capsys: Capture
     ) -> None:
-        reading = phase_ppl.StepwiseLikelihood()
+        reading = phase_ppl.ClosedLoopLikelihood()
         guided = {"settings": phase_ppl.SimpleSettings(proposal="closed_loop")}
         for words, likelihood, sampling in (
             ("", reading, {}),
-            ("--model stepwise --kernel smc", reading, {"kernel": "smc"}),
-            ("--likelihood stepwise --kernel smc", reading, {"kernel": "smc"}),
+            ("--model closed_loop --kernel smc", reading, {"kernel": "smc"}),
+            ("--likelihood closed_loop --kernel smc", reading, {"kernel": "smc"}),
             ("--kernel smc", None, {"kernel": "smc"}),
             ("--model simple", None, {"kernel": "local_mh"}),
             ("--preset guided", None, {"kernel": "local_mh", **guided}),
@@ -553,9 +553,9 @@ class TestOwnParts:
         [
             ("--simulator FILE:stil", "did you mean 'still'?"),
             ("--likelihood radial:beta", "'beta' in 'radial:beta' is no OPTION=VALUE"),
-            ("--likelihood stepwise:speed=1", "unexpected keyword argument 'speed'"),
-            ("--model stepwise --likelihood radial", "is not that of --model stepwise"),
-            ("--model simple --likelihood stepwise", "is not that of --model simple"),
+            ("--likelihood closed_loop:speed=1", "unexpected keyword argument 'speed'"),
+            ("--model closed_loop --likelihood radial", "is not that of --model closed_loop"),
+            ("--model simple --likelihood closed_loop", "is not that of --model simple"),
             ("--simulator FILE:still --planner fast", "planner applies to the joint simulator"),
         ],
     )

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, number_of_workers
@@ -171,7 +171,7 @@ def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show() -> None:
 
 
 def test_an_attribute_that_no_file_can_hold_is_named_before_it_is_written(tmp_path: Path) -> None:
-    post = StepwisePosterior(reading())
+    post = ClosedLoopPosterior(reading())
     post.dataset.attrs["note"] = {"a": 1}
     with pytest.raises(InvalidSettingError, match=r"attribute 'note' of group '/' is .*json"):
         post.save(tmp_path / "post.nc")

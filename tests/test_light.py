@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from tests.analysis.factory import random_tree
 from tests.analysis.readings import reading
 
@@ -35,7 +35,7 @@ STEPS = {
 
 def test_each_step_loads_no_more_than_it_needs(tmp_path: Path) -> None:
     Posterior(random_tree()).save(tmp_path / "a.nc")
-    StepwisePosterior(reading()).save(tmp_path / "b.nc")
+    ClosedLoopPosterior(reading()).save(tmp_path / "b.nc")
     script = "import sys\n"
     for done, heavy in STEPS.items():
         script += f"{done}\nfound = set({heavy.split()}) & set(sys.modules)\n"

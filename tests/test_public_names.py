@@ -78,4 +78,4 @@ def test_whether_a_kernel_is_named_says_what_infer_returns(tmp_path: Path) -> No
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     errors = [line for line in run.stdout.splitlines() if "user.py" in line]
     assert len(errors) == 1, run.stdout
-    assert '"StepwisePosterior" has no attribute "burn_in"' in errors[0]
+    assert '"ClosedLoopPosterior" has no attribute "burn_in"' in errors[0]

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from phase_ppl import (
+    ClosedLoopLikelihood,
     Hypothesis,
     Model,
     Observation,
     Scene,
-    StepwiseLikelihood,
     infer,
     load_event,
     watch,
@@ -172,7 +172,7 @@ def closed_loop(n_frames: int = 16) -> dict[str, Any]:
         return [[place] for group in searches(policies) for place in group]
 
     times: dict[str, list[float]] = {"shared": [], "alone": []}
-    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    model = Model(likelihood=ClosedLoopLikelihood(planner_seeds=1))
     try:
         for _ in range(3):
             for name, grouped in (("shared", searches), ("alone", alone)):

@@ -10,7 +10,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.closed_loop.hidden_state import filter_gains
 from phase_ppl.data.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
-from phase_ppl.models.stepwise import StepwiseLikelihood
+from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
@@ -44,7 +44,7 @@ def drawn_from_prior(rng: np.random.Generator) -> Situation:
             continue
 
 
-def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -> Event:
+def own_event(number: int, likelihood: ClosedLoopLikelihood, n_frames: int = 41) -> Event:
     """Return a video from the model: its policies, its physics, its noise of tracking.
 
     It is read back with ``Tracking(noise=0)``. Then all assumptions of the reader hold, and

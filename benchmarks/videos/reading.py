@@ -24,8 +24,8 @@ from phase_ppl.closed_loop.goal_filter import (
 )
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.models import priors
+from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 from phase_ppl.models.effective import log_prior_of_effective
-from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
@@ -153,7 +153,7 @@ class Kept:
             *(float(part[2]) for part in (right, sure, np.log(of_true))),
         )
 
-    def surprise(self, likelihood: StepwiseLikelihood) -> FloatArray:
+    def surprise(self, likelihood: ClosedLoopLikelihood) -> FloatArray:
         """Return (step,) nats by which frames are less probable than a perfect match."""
         tables = self.log_likelihood(likelihood.policy, likelihood.frame_weight())
         before = log_prior() + likelihood.frame_weight() * np.vstack(
@@ -223,7 +223,7 @@ def levels_of(event: Event) -> tuple[int, int]:
     return red, green
 
 
-def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
+def record(event: Event, likelihood: ClosedLoopLikelihood, seed: int = 0) -> Kept:
     """Read a video and keep everything."""
     truth = common.true_hypothesis(event).effective_goals
     began = time.process_time()

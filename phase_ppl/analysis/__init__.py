@@ -7,8 +7,8 @@ Modules for numbers, each built on those before it:
 * ``estimate``: statistics of such a table with their errors; ``query``: questions in words, and a
   user's own quantities.
 * ``hypotheses``: methods of all tables. ``event_posterior``: methods of an event's posterior.
-  ``what_if``: counterfactual simulations. ``posterior`` and ``stepwise_posterior`` (with
-  ``stepwise_table``, and ``users_sites`` for a user's prior) are the two kinds of posterior.
+  ``what_if``: counterfactual simulations. ``posterior`` and ``closed_loop_posterior`` (with
+  ``closed_loop_table``, and ``users_sites`` for a user's prior) are the two kinds of posterior.
 * ``comparison``: posteriors against a reference and each other.
 
 ``with_arviz`` calls ArviZ and converts for it. ``diagnostics`` describes the chains, and

@@ -34,7 +34,7 @@ from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 HINDSIGHT: Final = (
     "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
@@ -526,7 +526,7 @@ def load_posterior(
     weights: str | None = None,
     *,
     burn_in: int | None = None,
-) -> Posterior | StepwisePosterior:
+) -> Posterior | ClosedLoopPosterior:
     """Read a saved posterior, sampled or of the closed loop.
 
     Args:
@@ -541,8 +541,8 @@ def load_posterior(
             which has no draws.
         UnknownNameError: there is no such weighting.
     """
-    from phase_ppl.analysis.stepwise_posterior import FRAME, StepwisePosterior
-    from phase_ppl.analysis.stepwise_table import SCHEMA
+    from phase_ppl.analysis.closed_loop_posterior import FRAME, ClosedLoopPosterior
+    from phase_ppl.analysis.closed_loop_table import SCHEMA
     from phase_ppl.data.hdf5 import read_netcdf
 
     source = existing_file(path)
@@ -557,6 +557,6 @@ def load_posterior(
                     f"{name}={given!r}, but a posterior of the closed loop has no draws to weight: "
                     f"leave {name} out"
                 )
-        return StepwisePosterior(read, read.attrs.pop(FRAME, None))
+        return ClosedLoopPosterior(read, read.attrs.pop(FRAME, None))
     except (InvalidEventError, InvalidSettingError) as error:
         raise type(error)(f"{source}: {error}") from None

@@ -44,7 +44,7 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, PredicateKind
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import HypothesisSpace, space_of
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace, space_of
 
 SIGNS: Final = ("-1", "0", "1")
 """Labels of ``alpha_<who>_<whom>`` beside PHASE: hinders, neither, helps."""
@@ -247,5 +247,5 @@ class Vocabulary:
         users = {k: v for k, v in columns.items() if k not in self.space.columns}
         sites = (*self.space.goal_sites, *self.space.strength_sites)
         kept = {name: columns[name] for name in sites if name in columns}
-        alphas = self.space.alpha_codes(columns[self.space.company_site])
+        alphas = self.space.alpha_codes(columns[ALPHA_SITE])
         return {**kept, **self.relation_codes(columns), **alphas, **users}

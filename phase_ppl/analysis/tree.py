@@ -143,10 +143,10 @@ def prior_of_goals(tree: xr.DataTree, goals: NDArray[np.int64]) -> NDArray[np.fl
     constant, space = tree["constant_data"].dataset, space_of_tree(tree)
     if "prior_of_pairs" in constant:
         return np.asarray(constant["prior_of_pairs"].values[tuple(goals.T)], np.float64)
-    if "log_prior_company" not in constant:
+    if "log_prior_alpha" not in constant:
         return None
-    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
-    return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(own, company, goals), axis=0))
+    own, alpha = (constant[f"log_prior_{name}"].values for name in ("goals", "alpha"))
+    return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(own, alpha, goals), axis=0))
 
 
 _MOST: Final = 100.0  # nats that make anything certain
@@ -215,10 +215,10 @@ def unseen_share(tree: xr.DataTree) -> float:
 def possible_mass(tree: xr.DataTree) -> float:
     """Return the prior mass of all effective goals: 1, or less if some are impossible."""
     constant = tree["constant_data"].dataset
-    if "log_prior_company" not in constant:
+    if "log_prior_alpha" not in constant:
         return 1.0
-    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
-    return space_of_tree(tree).possible_share(own, company)
+    own, alpha = (constant[f"log_prior_{name}"].values for name in ("goals", "alpha"))
+    return space_of_tree(tree).possible_share(own, alpha)
 
 
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:

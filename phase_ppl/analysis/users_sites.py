@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.closed_loop_table import Table
 from phase_ppl.analysis.estimate import Jackknife, Jackknives, kish_size, leaving_out, over_sets
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
-from phase_ppl.analysis.stepwise_table import Table
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray, equal_rows
 

@@ -39,12 +39,12 @@ UNEXPLAINED: Final = 17.0
 """Nats below a perfect match, after the best joint action, at which no action explains a frame: one
 body is some 3 units from where it could be. 41 real videos without noise have no such frame (16
 nats at most). The model's own videos have noise with heavy tails: 3 % of their frames reach it
-(``benchmarks/stepwise.py calibration``)."""
+(``benchmarks/closed_loop.py calibration``)."""
 
 SURPRISE: Final = 4.0
 """Nats by which the observed actions were less probable than one certain action, beyond what no
 action explains. A share ``SURPRISING`` of the frames of the model's own videos is above it
-(``benchmarks/stepwise.py calibration``)."""
+(``benchmarks/closed_loop.py calibration``)."""
 
 SURPRISING: Final = 0.1
 TOO_SURPRISING: Final = 0.5
@@ -505,7 +505,7 @@ def of_reading(found: Record) -> dict[str, Any]:
         see = "watch further frames"
         return judged(leaders, [Check("frames seen", "doubt", "the start", "2 or more", says, see)])
     given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
-    more = f"search more: likelihood=ppl.StepwiseLikelihood({given})"
+    more = f"search more: likelihood=ppl.ClosedLoopLikelihood({given})"
     checks = [_explained(found, users_simulator), *_of_tracks(found)]
     checks += [] if users_simulator else [_expected(found)]
     checks.append(_decided(leaders, "" if users_simulator and not samples else more))

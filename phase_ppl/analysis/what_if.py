@@ -262,7 +262,7 @@ class Change:
     """A change to a world; see ``do`` of a posterior."""
 
     world: World
-    # site -> value, for stated goals, strengths and alpha or company; helpers follow
+    # site -> value, for stated goals, strengths and alpha; helpers follow
     sites: Mapping[str, Any]
     goals: Mapping[str, int]  # site of a goal -> effective goal, of that agent alone
     removed: tuple[int, ...]  # entities that are there no more
@@ -313,15 +313,15 @@ class Change:
                     f"relation={shown(dict(relation))}: whom one helps or hinders must be another "
                     "agent that pursues a goal of its own"
                 )
-            sites[space.company_site] = space.ways.index(tuple(towards))
+            sites[ALPHA_SITE] = space.ways.index(tuple(towards))
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
-            allowed = list(ALPHAS) if ALPHA_SITE in space.limits else []
+            allowed = [] if space.alpha_names else list(ALPHAS)
             if tuple(alpha) not in allowed:
                 where = allowed or f"relation= in the world {world.name}"
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
-            sites[space.company_site] = ALPHAS.index(tuple(alpha))
+            sites[ALPHA_SITE] = ALPHAS.index(tuple(alpha))
             words.append(f"alpha = {alpha}")
         instance_of("remove", remove, Iterable, "an entity or several")
         names = [remove] if isinstance(remove, str) else remove
@@ -341,7 +341,7 @@ class Change:
         effective = space.effective(codes)[0].tolist()
         if min(effective) < 0:
             agent = next(agent for agent, goal in enumerate(effective) if goal < 0)
-            owner = int(space.owner[int(sites[space.company_site]), agent])
+            owner = int(space.owner[int(sites[ALPHA_SITE]), agent])
             agents, goals = self.world.agents, self.world.goals
             raise InvalidSettingError(
                 f"the {agents[agent]} can do nothing for or against what the {agents[owner]} "
@@ -349,7 +349,7 @@ class Change:
             )
         own = dict(zip(space.goal_sites, effective, strict=True))
         nobody = space.ways.index((None,) * space.n_agents)
-        return space.hypothesis({**sites, **own, **self.goals, space.company_site: nobody})
+        return space.hypothesis({**sites, **own, **self.goals, ALPHA_SITE: nobody})
 
 
 def simulated(
@@ -424,13 +424,13 @@ def _drawn(post: Any, own_goals: FloatArray | None, n: int, seed: int) -> list[d
     weights, values = np.cumsum(table.weights), table.values
     places = (rng.random() + np.arange(n)) / n
     rows = np.minimum(np.searchsorted(weights, places * weights[-1], "right"), len(weights) - 1)
-    if space.company_site in values:
-        ways = values[space.company_site][rows]
+    if ALPHA_SITE in values:
+        ways = values[ALPHA_SITE][rows]
     else:  # a closed loop of another world keeps it agent by agent
         codes = space.alpha_codes(np.arange(len(space.ways)))
         way_of = {tuple(c[w] for c in codes.values()): w for w in range(len(space.ways))}
         ways = np.array([way_of[tuple(values[name][row] for name in codes)] for row in rows])
-    columns = {space.company_site: ways}
+    columns = {ALPHA_SITE: ways}
     for site, name in zip(space.goal_sites, space.stated_sites, strict=True):
         # an agent that pursues its own goal acts on it
         columns[site] = values[name if name in values else site][rows]

@@ -90,8 +90,8 @@ EVENT: an event file, or a bundled event's name
     "model": """
 --prior NAME: default uniform; $FILE
 --simulator FILE.py:NAME: instead of the joint one; runs that file
---likelihood L: radial or stepwise, with settings as in radial:beta=0.1 and
-    stepwise:weight=1:planner_seeds=8; $FILE""",
+--likelihood L: radial or closed_loop, with settings as in radial:beta=0.1 and
+    closed_loop:weight=1:planner_seeds=8; $FILE""",
     "run": """
 --iterations N: default 6, or as before
 | --budget B: $BUDGET

@@ -28,7 +28,7 @@ def evaluate(options: Options) -> int:
 
     Args:
         EVENTS: an event file, a folder of event files, or a bundled event's name
-        --model NAME: stepwise, the closed loop (the default), simple or another
+        --model NAME: closed_loop, the closed loop (the default), simple or another
         --out DIR: for predictions and metrics; report makes a page of them, with figures
         --resume: continue the evaluation in --out; events may have been added at the end
         --observer NAME: observer through which the model is seen: people, which comes with the

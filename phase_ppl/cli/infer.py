@@ -26,14 +26,14 @@ from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 CHECKPOINT: Final = "run.ckpt"  # the file in the folder of results that holds an unfinished run
 _SAMPLED: Final = (POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
-_STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
+_CLOSED_LOOP: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 """Files of results, by kind of posterior."""
 
-_RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
+_RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_CLOSED_LOOP)))
 
 _OF_SAMPLING: Final = (
     *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure"),
@@ -49,15 +49,15 @@ def infer(options: Options) -> int:
         $event
         $planner
         --preset NAME: $PRESET
-        --model simple|stepwise: stepwise (the default), the closed loop: each frame is predicted
+        --model simple|closed_loop: closed_loop (the default): each frame is predicted
             from those before, summed over all hypotheses; simple: whole simulations, sampled, as
             with --kernel local_mh
         $model
-        --watch: for the stepwise model: show its beliefs as the video plays, and film it
+        --watch: for the closed loop: show its beliefs as the video plays, and film it
         --kernel NAME: sample with it; local_mh is SIMPLE; default none, nothing is sampled; $FILE
         --chains N: default 15
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
-            eta=0.2, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
+            eta=0.2, or of the closed loop, such as weight=1 or planner_seeds=8; may be given
             several times
         --on-failure reject|raise: what becomes of a failed simulation; default reject
         --simulation-seconds S: a simulation that takes longer has failed; default: none has
@@ -73,14 +73,14 @@ def infer(options: Options) -> int:
     if options.model == "simple":
         options.preset = options.preset or "simple"
     samples = options.kernel is not None or options.preset is not None
-    stepwise = _is_stepwise(options, samples)
+    closed_loop = _is_closed_loop(options, samples)
     kept = None if options.out is None else options.out / CHECKPOINT
     if kept is not None and kept.exists():
         raise OutputError(
             f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
             "delete it"
         )
-    settings = users_parts.stepwise_settings() if stepwise else ()
+    settings = users_parts.closed_loop_settings() if closed_loop else ()
     of_likelihood = {name: v for name, v in options.option.items() if name in settings}
     of_kernel = {name: v for name, v in options.option.items() if name not in settings}
     if taken := of_kernel.keys() & inspect.signature(phase_ppl.infer).parameters.keys():
@@ -97,7 +97,7 @@ def infer(options: Options) -> int:
                 )
             run = functools.partial(_watched, event, model, options)
         else:
-            more = {"event": event, "model": model, "checkpoint": None if stepwise else kept}
+            more = {"event": event, "model": model, "checkpoint": None if closed_loop else kept}
             given = {**options.of(phase_ppl.infer, **more), **of_kernel, **_kernel(options)}
             if options.preset:
                 from phase_ppl.inference.settings import completed
@@ -107,12 +107,12 @@ def infer(options: Options) -> int:
         return _finish(run, event, out, kept, options)
 
 
-def _is_stepwise(options: Options, samples: bool) -> bool:
+def _is_closed_loop(options: Options, samples: bool) -> bool:
     """Return whether the closed loop reads the video, also when a kernel then samples from it."""
-    if options.likelihood is None and (options.model == "stepwise" or not samples):
-        options.likelihood = "stepwise"
-    named = (options.likelihood or "").partition(":")[0] == "stepwise"
-    if options.model and options.likelihood and named != (options.model == "stepwise"):
+    if options.likelihood is None and (options.model == "closed_loop" or not samples):
+        options.likelihood = "closed_loop"
+    named = (options.likelihood or "").partition(":")[0] == "closed_loop"
+    if options.model and options.likelihood and named != (options.model == "closed_loop"):
         raise InvalidSettingError(
             f"--likelihood {options.likelihood} is not that of --model {options.model}"
         )
@@ -181,7 +181,7 @@ def _finish(
     code, told = 0, "interrupted"
     try:
         post = run()
-    except (phase_ppl.Interrupted, phase_ppl.StepwiseInterrupted, PhasePPLError) as stopped:
+    except (phase_ppl.Interrupted, phase_ppl.ClosedLoopInterrupted, PhasePPLError) as stopped:
         post, code = getattr(stopped, "posterior", None), INTERRUPTED
         if isinstance(stopped, PhasePPLError):
             if post is None:
@@ -200,7 +200,7 @@ def _finish(
         if code:
             found = options.given(*users_parts.PARTS, "kernel")
             # a file cannot hold everything of a run
-            needed = any(".py:" in text or "stepwise" in text for text in found.values())
+            needed = any(".py:" in text or "closed_loop" in text for text in found.values())
             again = [f" --{name} {shlex.quote(text)}" for name, text in found.items() if needed]
             print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}{''.join(again)}")
         elif not options.keep_checkpoint:
@@ -222,7 +222,7 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
         phase_ppl.plot.over_time(post, path=out / "over_time.png")
         phase_ppl.plot.why(post, f"{asked}={best}", f"{asked}={second}", path=out / "why.png")
         phase_ppl.watch_film(post, out / "watch.mp4")
-        written = _STEPWISE
+        written = _CLOSED_LOOP
     for name in set(_RESULTS) - set(written):  # of another run, to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
@@ -234,7 +234,7 @@ _LINES_A_SECOND: Final = 4
 """Frames between two lines if the output is no terminal: one line a second of the video."""
 
 
-def _watched(event: Event, model: phase_ppl.Model, options: Options) -> StepwisePosterior:
+def _watched(event: Event, model: phase_ppl.Model, options: Options) -> ClosedLoopPosterior:
     """Show the posterior after every frame, in a terminal in place; return the last one."""
     drawn = 0
     seed, threads = options.seed or 0, options.workers
@@ -257,18 +257,18 @@ def _watched(event: Event, model: phase_ppl.Model, options: Options) -> Stepwise
                             in _followed(post)]  # fmt: skip
                     print(f"{seconds:5.1f} s  {'; '.join(best)}", flush=True)
         except KeyboardInterrupt:
-            raise phase_ppl.StepwiseInterrupted(watch.posterior()) from None
+            raise phase_ppl.ClosedLoopInterrupted(watch.posterior()) from None
         print()
         return watch.posterior()
 
 
-def _bars(post: StepwisePosterior) -> Iterator[str]:
+def _bars(post: ClosedLoopPosterior) -> Iterator[str]:
     for title, leading in _followed(post):
         for place, (label, share) in enumerate(leading):
             yield f"{title * (not place):<10}{label:<32}{share:5.2f}  {'#' * round(24 * share)}"
 
 
-def _followed(post: StepwisePosterior) -> Iterator[tuple[str, Any]]:
+def _followed(post: ClosedLoopPosterior) -> Iterator[tuple[str, Any]]:
     """Yield title and leading values of the quantities shown as the video plays."""
     for title, name in (*post.goals_of.items(), *post.relations_of.items()):
         yield title.removesuffix(" agent"), post.top(name, 3)

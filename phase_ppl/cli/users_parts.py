@@ -100,9 +100,9 @@ def _likelihood(text: str, more: Mapping[str, Any]) -> Any:
         if not (isinstance(kind, type) or settings):
             return kind
     else:
-        check_name("likelihood", name, ["radial", "stepwise", "FILE.py:NAME"])
-        kind = phase_ppl.RadialLikelihood if name == "radial" else phase_ppl.StepwiseLikelihood
-    if kind is phase_ppl.StepwiseLikelihood:
+        check_name("likelihood", name, ["radial", "closed_loop", "FILE.py:NAME"])
+        kind = phase_ppl.RadialLikelihood if name == "radial" else phase_ppl.ClosedLoopLikelihood
+    if kind is phase_ppl.ClosedLoopLikelihood:
         of_tracking = {f.name for f in dataclasses.fields(phase_ppl.Tracking)} & settings.keys()
         if of_tracking:
             tracking = {setting: settings.pop(setting) for setting in of_tracking}
@@ -115,7 +115,7 @@ def _likelihood(text: str, more: Mapping[str, Any]) -> Any:
         raise InvalidSettingError(f"--likelihood {name}: {error}") from None
 
 
-def stepwise_settings() -> set[str]:
+def closed_loop_settings() -> set[str]:
     """Return the names of the settings of the closed loop's likelihood."""
-    kinds = phase_ppl.StepwiseLikelihood, phase_ppl.Tracking
+    kinds = phase_ppl.ClosedLoopLikelihood, phase_ppl.Tracking
     return {field.name for kind in kinds for field in dataclasses.fields(kind)}

@@ -11,7 +11,7 @@ Each agent's policy depends on its standpoint only (:mod:`phase_ppl.agents.stand
 standpoints lead to the same intent: so a frame is kept as the few policies of each agent, the
 number of the policy of each standpoint, and the density of the frame after every joint action.
 What that says of hypotheses is worked out where it is asked
-(:mod:`phase_ppl.analysis.stepwise_table`).
+(:mod:`phase_ppl.analysis.closed_loop_table`).
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ class Plans(NamedTuple):
 class ActionPolicy(NamedTuple):
     """How agents act on their plans: a softmax policy with lapses."""
 
-    sharpness: float  # exponent of a search's root visits, an inverse temperature
+    inverse_temperature: float  # exponent of a search's root visits, an inverse temperature
     lapse: float  # probability, by frame, that an agent does anything whatever
 
     def of(self, root: RootStatistics) -> FloatArray:
         """Return (action,) probabilities of an agent, from what its search found.
 
-        pi = (1 - lapse) visits^sharpness / Z + lapse / |A|
+        pi = (1 - lapse) visits^inverse_temperature / Z + lapse / |A|
         """
         found = np.full(N_ACTIONS, self.lapse / N_ACTIONS)
-        share = (root.visits / root.visits.max()) ** self.sharpness
+        share = (root.visits / root.visits.max()) ** self.inverse_temperature
         found[root.actions] += (1.0 - self.lapse) * share / share.sum()
         return found
 

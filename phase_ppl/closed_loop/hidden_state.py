@@ -119,9 +119,9 @@ class Tracking:
     """Settings by which the closed loop follows hidden states: velocities, holds, strengths.
 
     ``scale``, ``angle_scale`` and ``tail`` were chosen on ten of the real videos, by agreement with
-    the actions recovered from these videos, and confirmed on all 50 (``benchmarks/stepwise.py
+    the actions recovered from these videos, and confirmed on all 50 (``benchmarks/closed_loop.py
     replays``). ``strength_weight`` was chosen by the log score of the strengths of the first half
-    of the real videos, with and without noise on the positions (``benchmarks/stepwise.py beam``).
+    of the real videos, with and without noise on positions (``benchmarks/closed_loop.py beam``).
 
     ``strength_weight`` is far below 1, because a beam (the states kept) has few of the many
     histories that frames cannot tell apart. So the evidence for a pair of strengths varies far more

@@ -31,10 +31,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import binom, kstest
 
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.tree import are_weighted
 from phase_ppl.data.documents import read_json
 from phase_ppl.evaluation.bootstrap import clopper_pearson
@@ -226,7 +226,7 @@ class Calibration(Printed):
         settings, name = self.evaluation.settings, self.evaluation.name
         # "simple" is the name of any kernel's runs, with any simulator
         kernel = settings["options"].get("kernel")
-        return str(kernel or ("closed loop" if name == "stepwise" else name))
+        return str(kernel or ("closed loop" if name == "closed_loop" else name))
 
     @functools.cached_property
     def _parts(self) -> dict[str, pd.DataFrame]:
@@ -278,7 +278,7 @@ def calibrate(
 
     The hypothesis comes from the model's prior, and the video from its simulator. The video is one
     whole simulation. It is drawn frame by frame, by ``next_frames``, if the simulator has nothing
-    else or the model's likelihood is a :class:`phase_ppl.StepwiseLikelihood`. A likelihood with a
+    else or the model's likelihood is a :class:`phase_ppl.ClosedLoopLikelihood`. A likelihood with a
     method ``replicate``, such as :class:`phase_ppl.RadialLikelihood`, adds its noise to positions.
     If the model's ``likelihood`` is None, there is no noise.
 
@@ -412,7 +412,7 @@ def _draw(drawing: _Drawing, number: int) -> Event:
 
 def _video_of(model: Model, scene: Scene, n_frames: int) -> Callable[[Hypothesis, int], FloatArray]:
     """Return a function of a hypothesis and a seed that draws (time, entity, coord) a video."""
-    from phase_ppl.models.likelihood import is_stepwise
+    from phase_ppl.models.likelihood import is_closed_loop
 
     simulator: Any = model.build_simulator()
     goes_on = callable(getattr(simulator, "next_frames", None))
@@ -421,7 +421,7 @@ def _video_of(model: Model, scene: Scene, n_frames: int) -> Callable[[Hypothesis
             f"{shown(simulator)} draws no videos: it has log_prob_next, expected next_frames or "
             "__call__ too"
         )
-    if goes_on and (is_stepwise(model.likelihood) or not callable(simulator)):
+    if goes_on and (is_closed_loop(model.likelihood) or not callable(simulator)):
 
         def step_by_step(hypothesis: Hypothesis, seed: int) -> FloatArray:
             rng, seen = np.random.default_rng(seed), scene.start[None]
@@ -495,7 +495,7 @@ def _draws_of(
     for name in post.strengths_of.values():
         values = post.table.values[name]
         grid = None if post.settings.get("kernel") != "enumerate" else np.unique(values).tolist()
-        if isinstance(post, StepwisePosterior):
+        if isinstance(post, ClosedLoopPosterior):
             grid = list(post.settings["likelihood"]["tracking"]["strengths"])
         found[name] = {"drawn": values[drawn].tolist(), "grid": grid}
     return {**found, "": {"tempering": post.tempering}}

@@ -81,7 +81,7 @@ class EvaluationInterrupted(KeyboardInterrupt):
 
 def evaluate(
     events: str | os.PathLike[str] | Event | Sequence[Event],
-    model: str | Model | Predict = "stepwise",
+    model: str | Model | Predict = "closed_loop",
     *,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
@@ -114,7 +114,7 @@ def evaluate(
         model: one of three. The default is the closed loop.
 
             * A name (:func:`phase_ppl.available_models`). Of the package's own models, these also
-              work in other worlds than PHASE: "stepwise", "simple", "predicate", "last_frame",
+              work in other worlds than PHASE: "closed_loop", "simple", "predicate", "last_frame",
               "no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight" and
               "no_social_goals".
             * A :class:`phase_ppl.Model`. :func:`phase_ppl.infer` runs it with the closed loop, or

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
 from phase_ppl.evaluation.comparison import (
     MARGIN,
@@ -139,7 +139,7 @@ class Evaluation(Printed):
         kinds = {name: kind for name, kind in _COLUMNS.items() if kind}
         return table[list(_COLUMNS)].reset_index(drop=True).astype(kinds)
 
-    def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
+    def posterior(self, event_id: str) -> Posterior | ClosedLoopPosterior | None:
         """Return the posterior of an event, read from the folder; None: no posterior was kept.
 
         Raises:

@@ -25,8 +25,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.posterior import Posterior, load_posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.data.documents import check_schema, naming, read_document, read_json
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events, save_events
@@ -271,7 +271,7 @@ class ResultsFolder:
                 raise InvalidEventError(f"is of the event {found.event_id!r}, not {event_id!r}")
         return found
 
-    def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
+    def posterior(self, event_id: str) -> Posterior | ClosedLoopPosterior | None:
         """Return the posterior of an event; None if none was kept."""
         file = self.folder_of(event_id) / POSTERIOR
         return load_posterior(file) if file.is_file() else None

@@ -212,7 +212,7 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
                 "(scene, observation, seed)"
             )
         samples = not {"kernel", "preset"}.isdisjoint(options)
-        model, options = "simple" if samples else "stepwise", {"program": model, **options}
+        model, options = "simple" if samples else "closed_loop", {"program": model, **options}
     source: Callable[..., Any]
     if isinstance(model, str):
         info = model_info(model)

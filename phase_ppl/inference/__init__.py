@@ -1,7 +1,7 @@
 """Inference: the closed loop, and kernels that sample hypotheses.
 
 * ``infer``: the call, and ``resume``. ``settings``: of SIMPLE, budgets and presets.
-* ``stepwise``: the closed loop reads a video, frame by frame.
+* ``closed_loop``: the closed loop reads a video, frame by frame.
 * ``registry``: kernels by name. ``kernels``: themselves.
 * ``tables``, with ``strength``: what each window of the video says of goals and strengths.
   ``guide``: the proposal from these.

@@ -38,7 +38,7 @@ from phase_ppl.inference.settings import (
     simulations,
 )
 from phase_ppl.models.density import on_cpu
-from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.likelihood import is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.simulator.processes import slots_of
 from phase_ppl.world.errors import (
@@ -56,7 +56,7 @@ from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import World
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 BUDGET: Final = simulations(500)
 REPEATS: Final = 8
@@ -120,7 +120,7 @@ class Entry:
 
     def run(
         self,
-        event: Event | StepwisePosterior,
+        event: Event | ClosedLoopPosterior,
         model: Model | None,
         budget: Any,
         seed: int,
@@ -209,7 +209,7 @@ class ComparisonInterrupted(KeyboardInterrupt):
 
 @on_cpu()
 def compare(
-    event: Event | StepwisePosterior,
+    event: Event | ClosedLoopPosterior,
     model: Model | None = None,
     *,
     kernels: Iterable[Spec] | Mapping[str, Spec] = ("local_mh", "prior_mh"),
@@ -234,8 +234,8 @@ def compare(
         event: the event to explain; its truth, if known, is used to score the kernels. Or a result
             of the closed loop, as in ``compare(infer(event), kernels=[...])``: kernels then sample
             its table of likelihoods. That table's posterior is known exactly, and ten thousand
-            draws take seconds. A model with a ``StepwiseLikelihood`` has the same effect: the video
-            is read once, for all kernels and repeats.
+            draws take seconds. A model with a ``ClosedLoopLikelihood`` has the same effect: the
+            video is read once, for all kernels and repeats.
         model: prior, simulator and likelihood; by default the paper's.
         kernels: kernels to compare, a list or label -> kernel. Each is a name, a kernel class, a
             function that makes a kernel, or a preset of SIMPLE such as "as_printed"; or a pair of
@@ -274,9 +274,9 @@ def compare(
             work.
         ComparisonInterrupted: Ctrl-C; its attribute ``comparison`` has the finished runs.
     """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
-    read = event if isinstance(event, StepwisePosterior) else None
+    read = event if isinstance(event, ClosedLoopPosterior) else None
     if read is not None:
         from phase_ppl.inference.table_run import event_of, model_of
 
@@ -318,7 +318,7 @@ def compare(
         try:
             with Bar(len(waiting) + 1, 0, progress, "run", "reference") as bar:
                 to_do = bool(waiting) or record.reference is None
-                if read is None and to_do and is_stepwise(model.likelihood):
+                if read is None and to_do and is_closed_loop(model.likelihood):
                     read = infer(event, model, seed=seed, workers=workers, progress=progress)
                 if record.reference is None:
                     found = reference_of(wanted, event, model, read, seed, workers, executor)

@@ -23,12 +23,12 @@ from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import space_of_prior
-from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
+from phase_ppl.models.likelihood import RadialLikelihood, is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.models.world_priors import kept_prior, log_prior_of_effective
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace
 
 Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation
 
@@ -206,7 +206,7 @@ def grouped(
 def _tempering(model: Model) -> dict[str, float]:
     """Return the tempering of a likelihood of this package, as attributes."""
     likelihood = model.likelihood
-    if is_stepwise(likelihood):
+    if is_closed_loop(likelihood):
         return {"frame_weight": likelihood.frame_weight(model.simulator is not None)}
     return {"beta": likelihood.beta} if type(likelihood) is RadialLikelihood else {}
 
@@ -250,13 +250,13 @@ def _results(
 
 
 def hypothesis_columns(raw: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> Columns:
-    """Return effective and stated goals, company, strengths and own sites as they are stored."""
+    """Return effective and stated goals, alpha, strengths and own sites as they are stored."""
     effective = space.effective(raw).astype(np.int16)
     columns: Columns = {name: effective[:, i] for i, name in enumerate(space.goal_sites)}
     for name, stated in zip(space.goal_sites, space.stated_sites, strict=True):
         columns[stated] = raw[name].astype(np.int16)
-    way = raw[space.company_site]
-    columns[space.company_site] = way.astype(np.int8 if len(space.ways) < 128 else np.int16)
+    way = raw[ALPHA_SITE]
+    columns[ALPHA_SITE] = way.astype(np.int8 if len(space.ways) < 128 else np.int16)
     columns |= {name: raw[name].astype(np.float64) for name in space.strength_sites}
     return columns | {name: values for name, values in raw.items() if name not in space.sites}
 

@@ -33,6 +33,7 @@ from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.space import ALPHA_SITE
 
 Replace = Callable[[dist.Distribution, Mapping[str, jax.Array]], dist.Distribution]
 
@@ -69,7 +70,7 @@ def _local_program(
     prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
     order, space, prior_of_way = list(sites), space_of_prior(prior), None
-    way_site = space.company_site
+    way_site = ALPHA_SITE
     if tables.way_logits is not None and any(
         order.index(goal) < order.index(way_site) for goal in space.goal_sites
     ):
@@ -112,7 +113,7 @@ def _prior_of_way(prior: Program) -> FloatArray:
 
     def probabilities(key: jax.Array) -> jax.Array:
         trace = traced(prior, key)
-        return jnp.exp(trace[space.company_site]["fn"].log_prob(jnp.arange(len(space.ways))))
+        return jnp.exp(trace[ALPHA_SITE]["fn"].log_prob(jnp.arange(len(space.ways))))
 
     def averaged() -> jax.Array:
         keys = random.split(random.key(0), _PRIOR_DRAWS)

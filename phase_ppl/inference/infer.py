@@ -20,7 +20,7 @@ from phase_ppl.inference.settings import (
     check_settings,
 )
 from phase_ppl.models.density import on_cpu
-from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.likelihood import is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
 from phase_ppl.world.event import Event
@@ -28,8 +28,8 @@ from phase_ppl.world.files import as_path, check_output, locked
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
     from phase_ppl.analysis.posterior import Posterior
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
     from phase_ppl.inference.checkpoint import Checkpoint
     from phase_ppl.inference.run import Kernel, Run
 
@@ -46,10 +46,10 @@ def infer(
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     progress: bool | None = None,
-) -> StepwisePosterior: ...
+) -> ClosedLoopPosterior: ...
 @overload
 def infer(
-    event: str | os.PathLike[str] | Event | StepwisePosterior,
+    event: str | os.PathLike[str] | Event | ClosedLoopPosterior,
     model: Model | None = None,
     *,
     kernel: Kernel,
@@ -57,7 +57,7 @@ def infer(
 ) -> Posterior: ...
 @on_cpu()
 def infer(
-    event: str | os.PathLike[str] | Event | StepwisePosterior,
+    event: str | os.PathLike[str] | Event | ClosedLoopPosterior,
     model: Model | None = None,
     *,
     kernel: Kernel | None = None,
@@ -75,11 +75,11 @@ def infer(
     settings: SimpleSettings | None = None,
     weights: str | None = None,
     **kernel_options: Any,
-) -> Posterior | StepwisePosterior:
+) -> Posterior | ClosedLoopPosterior:
     """Return the posterior over goals, relation and strengths, given the video.
 
     Without a kernel, the closed loop reads the video once under all hypotheses. It predicts every
-    frame from the frames before it. The result is a :class:`phase_ppl.StepwisePosterior`. It has
+    frame from the frames before it. The result is a :class:`phase_ppl.ClosedLoopPosterior`. It has
     the posterior at every moment of the video.
 
     With a kernel, hypotheses are sampled. The result is a :class:`phase_ppl.Posterior`.
@@ -147,7 +147,7 @@ def infer(
         OutputError: the checkpoint exists, or cannot be written.
         SimulationError: all initial simulations failed; or, with "raise", one simulation failed.
         Interrupted: Ctrl-C while a kernel samples.
-        StepwiseInterrupted: Ctrl-C while the closed loop reads.
+        ClosedLoopInterrupted: Ctrl-C while the closed loop reads.
 
     Any error that ends a run has the posterior so far as its attribute ``posterior``. It is None if
     the initial particles were not complete.
@@ -166,7 +166,7 @@ def infer(
             f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
             "infer(event, **phase_ppl.preset(...))"
         )
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
     if isinstance(event, str | os.PathLike):
         event = load_event(event)
@@ -180,13 +180,13 @@ def infer(
                     f'kernel="{KERNEL}", which is SIMPLE, or another; without one the closed loop '
                     "sums over all hypotheses"
                 )
-        from phase_ppl.inference.stepwise import filtered_frames
+        from phase_ppl.inference.closed_loop import filtered_frames
 
         model = _complete_model(model, planner)
         event = check_event(event)
         _check_rate(event, model)
         found = filtered_frames(event, model, seed, workers, progress)
-        return StepwisePosterior(found, prior=model.prior)
+        return ClosedLoopPosterior(found, prior=model.prior)
     from phase_ppl.inference.run import Run
     from phase_ppl.inference.sampler import RunOptions, sample
 
@@ -194,7 +194,7 @@ def infer(
     settings = SimpleSettings() if settings is None else settings
     check_settings(settings)
     of_run = kernel, kernel_options, settings, chains, seed
-    if isinstance(event, StepwisePosterior):
+    if isinstance(event, ClosedLoopPosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table
 
         if planner is not None:
@@ -205,7 +205,7 @@ def infer(
         return sample_table(event, Run(event_of(event), model, *of_run), given)
     model = _complete_model(model, planner)
     run = Run(check_event(event), model, *of_run)
-    if is_stepwise(model.likelihood):
+    if is_closed_loop(model.likelihood):
         from phase_ppl.inference.table_run import check_looked_up, sample_table
 
         check_looked_up(given)

@@ -25,7 +25,7 @@ from phase_ppl.inference.registry import KERNELS
 from phase_ppl.inference.settings import SimpleSettings, check_event, check_settings
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
-from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.likelihood import is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import SEED_SITE, EventProgram
 from phase_ppl.simulator.runner import Runner
@@ -210,7 +210,7 @@ def program(
     Args:
         event: the event, not a file's name.
         model: prior, simulator and likelihood; by default the paper's. A model with the closed
-            loop's likelihood (``StepwiseLikelihood``) is refused, since it simulates nothing.
+            loop's likelihood (``ClosedLoopLikelihood``) is refused, since it simulates nothing.
         settings: settings of SIMPLE, for kernels that propose from windows of the video; by default
             those of the preset "simple".
         workers, executor, on_failure, simulation_seconds: as in :func:`phase_ppl.infer`.
@@ -224,7 +224,7 @@ def program(
     settings = SimpleSettings() if settings is None else settings
     instance_of("model", model, Model, "a phase_ppl.Model")
     check_settings(settings)
-    if is_stepwise(model.likelihood):
+    if is_closed_loop(model.likelihood):
         raise InvalidSettingError(
             "the closed loop's likelihood simulates nothing: write phase_ppl.infer(event, model)"
         )

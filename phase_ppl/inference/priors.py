@@ -25,7 +25,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 __all__ = [
     "available",
@@ -46,7 +46,7 @@ def summary(
     event: Event | None = None,
     *,
     world: World | None = None,
-) -> StepwisePosterior:
+) -> ClosedLoopPosterior:
     """Return what a prior says before a run: the closed loop's posterior at the start of a video.
 
     Goals are effective ones, so that it shows what a prior over stated goals and ``alpha`` comes
@@ -64,16 +64,16 @@ def summary(
             world are none.
         UnknownNameError: there is no prior of that name.
     """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-    from phase_ppl.inference.stepwise import Watch
-    from phase_ppl.models.stepwise import StepwiseLikelihood
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
+    from phase_ppl.inference.closed_loop import Watch
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 
     instance_of("event", event, (Event, type(None)), "a phase_ppl.Event")
     instance_of("world", world, (World, type(None)), "a phase_ppl.World")
     if event is not None and world not in (None, event.scene.world):
         raise InvalidSettingError(f"world is not that of the event: {event.scene.world.name!r}")
     # with two sets of searches errors are known
-    model = Model(prior=prior, likelihood=StepwiseLikelihood(planner_seeds=2))
+    model = Model(prior=prior, likelihood=ClosedLoopLikelihood(planner_seeds=2))
     if event is None:
         world = PHASE if world is None else world
         bound, scene, seen = for_table(model.prior, world), world.random_scene(0), None
@@ -82,7 +82,7 @@ def summary(
         bound = for_table(model.prior, scene, seen)
     with Watch(scene, model, observation=seen, event_id="the prior") as watching:
         watching.take(scene.start)
-        return StepwisePosterior(watching.dataset(), prior=bound)
+        return ClosedLoopPosterior(watching.dataset(), prior=bound)
 
 
 def __dir__() -> list[str]:

@@ -51,7 +51,7 @@ from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
 MOST: Final = 10_000  # combinations of goals, of which all agents have one
@@ -236,7 +236,7 @@ def reference_of(
     asked: Reference,
     event: Event,
     model: Model,
-    read: StepwisePosterior | None,
+    read: ClosedLoopPosterior | None,
     seed: int,
     workers: int | None,
     executor: Executor | None = None,

@@ -41,7 +41,7 @@ from phase_ppl.models.bridge import Record, Request
 from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import remembered, tracing
 from phase_ppl.models.effective import WorldPrior, as_given
-from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
+from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, Lookup
 from phase_ppl.world.errors import InvalidSettingError, instance_of, whole_number
@@ -100,12 +100,12 @@ class Run:
         check_event(self.event)
         world, model = self.event.scene.world, self.model
         self.info = info_of(self.kernel)
-        if is_stepwise(model.likelihood) and len(world.agents) > 2:
+        if is_closed_loop(model.likelihood) and len(world.agents) > 2:
             raise InvalidSettingError(
                 "a kernel on what the closed loop has read takes strengths by agent, and of three "
                 f"agents and more, as in {world.name!r}, only some combinations are followed"
             )
-        if is_stepwise(model.likelihood) and self.info.adapts:
+        if is_closed_loop(model.likelihood) and self.info.adapts:
             raise InvalidSettingError(
                 f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
                 "has read takes none: it is summed exactly; take 'importance'"

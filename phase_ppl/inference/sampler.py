@@ -57,7 +57,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions
 from phase_ppl.world.progress import Progress
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 
 if TYPE_CHECKING:
     from phase_ppl.inference.checkpoint import Checkpoint
@@ -383,7 +383,7 @@ class Sampler:
         usual = np.full(goals.shape, np.mean(STRENGTH_RANGE))
         seed = (run.seed, self._done, *place)
         stated, log_drawn = drawn_stated(run.model.prior, goals, usual, seed)
-        names = (*space.goal_sites, space.company_site)
+        names = (*space.goal_sites, ALPHA_SITE)
         given = dict(zip(names, stated.T.astype(np.int32), strict=True))
         keys = self._keys(self._done, *place)
         drawn = log_drawn.astype(np.float32)

@@ -18,8 +18,8 @@ import xarray as xr
 from jax import random
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.closed_loop_table import Table, table_of
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import DRAW, SCHEMA
 from phase_ppl.inference.draws import (
     PARTICLE,
@@ -43,7 +43,7 @@ from phase_ppl.models.effective import (
     space_of_prior,
     strengths_apart,
 )
-from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.likelihood import is_closed_loop
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import Lookup
 from phase_ppl.models.world_priors import log_prior_of_effective
@@ -54,7 +54,7 @@ from phase_ppl.world.identity import qualified_name, stable, versions
 from phase_ppl.world.progress import Bar
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
 ITERATIONS: Final = 1000
 """Default number of draws per chain."""
@@ -65,12 +65,12 @@ _MOST_BYTES: Final = 2 * 10**9  # most memory of a run with a budget of seconds
 _OF_SIMULATIONS: Final = (*OF_RUNNER, "checkpoint", "weights")
 
 
-def event_of(read: StepwisePosterior) -> Event:
+def event_of(read: ClosedLoopPosterior) -> Event:
     """Return the event that was read, up to the last frame that counts."""
     return Event(read.scene, Observation(read.observed()), id=read.event_id)
 
 
-def model_of(read: StepwisePosterior, model: Model | None) -> Model:
+def model_of(read: ClosedLoopPosterior, model: Model | None) -> Model:
     """Return the model whose prior counts: the given one, else the one that read the video.
 
     Raises:
@@ -78,7 +78,7 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
             simulates, or reads the video in another way.
     """
     from phase_ppl.closed_loop.hidden_state import Tracking
-    from phase_ppl.models.stepwise import StepwiseLikelihood
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 
     if model is None:
         prior: Any = read.prior
@@ -94,7 +94,7 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
         model = Model(prior=prior)
     given, now = model.likelihood, read.settings.get("likelihood")
     as_read = False
-    if is_stepwise(given):
+    if is_closed_loop(given):
         counts = given.frame_weight(model.simulator is not None)
         as_read = now in (None, stable({**given.to_dict(), "weight": counts}))
     its_own = model.fingerprint()["simulator"] == read.settings["model"].get("simulator")
@@ -106,9 +106,9 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
                 "prior only, infer(post, Model(prior=...), kernel=...)"
             )
     if now is None:  # an older file does not say
-        likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
+        likelihood = ClosedLoopLikelihood(weight=float(read.dataset.attrs["weight"]))
     else:
-        likelihood = StepwiseLikelihood(**{**now, "tracking": Tracking(**now["tracking"])})
+        likelihood = ClosedLoopLikelihood(**{**now, "tracking": Tracking(**now["tracking"])})
     return Model(read.bound(model.prior), likelihood=likelihood)
 
 
@@ -122,7 +122,7 @@ def check_looked_up(options: RunOptions) -> None:
             )
 
 
-def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Posterior:
+def sample_table(read: ClosedLoopPosterior, run: Run, options: RunOptions) -> Posterior:
     """Return the posterior of a run that looks up every simulation in the closed loop's table.
 
     Raises:
@@ -304,7 +304,7 @@ class ReadTable:
     It is by effective goals; for a user's own simulator also by strengths.
     """
 
-    def __init__(self, read: StepwisePosterior) -> None:
+    def __init__(self, read: ClosedLoopPosterior) -> None:
         table = table_of(read.dataset.isel(time=slice(None, read.frame + 1)))
         weight = float(table.found.attrs["weight"])
         frames = np.array([table.of_frame(t)[0] for t in range(table.n_frames)])

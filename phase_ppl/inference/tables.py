@@ -47,7 +47,7 @@ from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_table import Table
+    from phase_ppl.analysis.closed_loop_table import Table
     from phase_ppl.models.prior_masses import GoalRows
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
@@ -262,14 +262,14 @@ def _read(
     scene: Scene, observation: Observation, progress: bool | None, threads: int | None
 ) -> _Read:
     # cached for the same two objects, so that compared kernels share it
-    from phase_ppl.analysis.stepwise_table import table_of
-    from phase_ppl.inference.stepwise import filtered_frames
+    from phase_ppl.analysis.closed_loop_table import table_of
+    from phase_ppl.inference.closed_loop import filtered_frames
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
     from phase_ppl.models.model import Model
-    from phase_ppl.models.stepwise import StepwiseLikelihood
 
     if (known := _kept.get((scene, observation))) is not None:
         return known
-    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    model = Model(likelihood=ClosedLoopLikelihood(planner_seeds=1))
     event = Event(scene, observation)
     found = filtered_frames(event, model, threads=threads, progress=progress)
     cost = json.loads(found.attrs["cost"])

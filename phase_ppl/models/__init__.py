@@ -5,8 +5,8 @@
   any world, public as ``ppl.roles``.
 * ``density``: draws and densities of a program. ``effective``: the prior of effective goals, with
   what does not matter summed out. ``prior_masses``: all hypotheses with their masses.
-* ``likelihood``: whole simulations against the video. ``stepwise``: each frame given those before
-  it, the closed loop.
+* ``likelihood``: whole simulations against the video. ``closed_loop``: each frame given those
+  before it.
 * ``bridge``: compiled kernels ask for simulations through it. ``compiled``: compiled functions kept
   on disk.
 * ``predicate``, ``socialgnn`` and ``vlm``: the paper's other models.

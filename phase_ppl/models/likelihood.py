@@ -1,6 +1,6 @@
 """Likelihoods that compare a simulation with the video, among them the paper's (Eq. 2).
 
-The other kind, the closed loop's (``stepwise.py``), compares no whole simulation.
+The other kind, the closed loop's (``closed_loop.py``), compares no whole simulation.
 
 The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density. In each frame the positions of
 all entities (d numbers, 8 in PHASE) have the radial density exp(-beta ||s - s^||) / Z. Z does not
@@ -24,7 +24,7 @@ from phase_ppl.world.errors import positive_number
 from phase_ppl.world.names import ENTITIES
 
 if TYPE_CHECKING:
-    from phase_ppl.models.stepwise import StepwiseLikelihood
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 
 _Array = TypeVar("_Array")
 
@@ -51,11 +51,11 @@ class TrajectoryLikelihood(Protocol):
         ...
 
 
-def is_stepwise(likelihood: object) -> TypeGuard[StepwiseLikelihood]:
+def is_closed_loop(likelihood: object) -> TypeGuard[ClosedLoopLikelihood]:
     """Whether a likelihood is the closed loop's, which compares no whole simulation."""
     # if there is one, its module is loaded; other runs need not load planner and physics
-    module = sys.modules.get("phase_ppl.models.stepwise")
-    return module is not None and isinstance(likelihood, module.StepwiseLikelihood)
+    module = sys.modules.get("phase_ppl.models.closed_loop")
+    return module is not None and isinstance(likelihood, module.ClosedLoopLikelihood)
 
 
 class InNats:

@@ -26,7 +26,12 @@ from phase_ppl.models.density import (
     traced,
 )
 from phase_ppl.models.effective import BoundPrior, WorldPrior, as_given, space_of_prior
-from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
+from phase_ppl.models.likelihood import (
+    InNats,
+    RadialLikelihood,
+    TrajectoryLikelihood,
+    is_closed_loop,
+)
 from phase_ppl.models.sites import HYPOTHESIS_SITES
 from phase_ppl.models.world_priors import asked, bound, in_one_line, masses_of, refused
 from phase_ppl.simulator.contract import goes_on
@@ -34,11 +39,11 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import Scene, World
-from phase_ppl.world.space import ALPHA_SITE, COMPANY_SITE, HypothesisSpace, space_of
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace, space_of
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.models.stepwise import StepwiseLikelihood
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
     from phase_ppl.simulator.contract import Simulator
 
 DEFAULT_PLANNER: Final = "fast"
@@ -61,7 +66,7 @@ class Model:
             the paper (Algorithm 1).
         likelihood: object that compares a simulation with the video
             (:class:`phase_ppl.models.likelihood.TrajectoryLikelihood`), or a
-            :class:`phase_ppl.StepwiseLikelihood`. None: a ``StepwiseLikelihood`` for the closed
+            :class:`phase_ppl.ClosedLoopLikelihood`. None: a ``ClosedLoopLikelihood`` for the closed
             loop, a :class:`phase_ppl.RadialLikelihood` for a kernel.
         planner: settings of the joint simulator's planner: "fast", "paper", another name of
             :meth:`phase_ppl.PlannerConfig.named`, or a ``PlannerConfig``. None: "fast".
@@ -74,7 +79,7 @@ class Model:
 
     prior: Program = priors.uniform
     simulator: Simulator | None = None
-    likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = None
+    likelihood: TrajectoryLikelihood | ClosedLoopLikelihood | None = None
     planner: str | PlannerConfig | None = None
 
     if TYPE_CHECKING:
@@ -83,7 +88,7 @@ class Model:
             self,
             prior: Program | str = ...,
             simulator: Any = ...,
-            likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = ...,
+            likelihood: TrajectoryLikelihood | ClosedLoopLikelihood | None = ...,
             planner: str | PlannerConfig | None = ...,
         ) -> None: ...
 
@@ -93,7 +98,7 @@ class Model:
         if self.simulator is None:
             object.__setattr__(self, "planner", self.planner_config())
         elif not callable(self.simulator) and not (
-            is_stepwise(self.likelihood) and goes_on(self.simulator)
+            is_closed_loop(self.likelihood) and goes_on(self.simulator)
         ):
             raise InvalidSettingError(
                 f"simulator={self.simulator!r}: expected a generator function "
@@ -104,7 +109,7 @@ class Model:
                 "planner applies to the joint simulator, but the model has a simulator of its own"
             )
         compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
-        if self.likelihood is not None and not compares and not is_stepwise(self.likelihood):
+        if self.likelihood is not None and not compares and not is_closed_loop(self.likelihood):
             raise InvalidSettingError(
                 f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
             )
@@ -134,10 +139,10 @@ class Model:
         """
         from phase_ppl.agents.config import PlannerConfig
         from phase_ppl.closed_loop.hidden_state import Tracking
-        from phase_ppl.models.stepwise import StepwiseLikelihood
+        from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 
         tracking = Tracking(strengths=(450.0,), states=8)
-        likelihood = StepwiseLikelihood(planner_seeds=1, tracking=tracking)
+        likelihood = ClosedLoopLikelihood(planner_seeds=1, tracking=tracking)
         planner = dataclasses.replace(
             PlannerConfig.named(DEFAULT_PLANNER), simulations=30, particles=10
         )
@@ -169,16 +174,16 @@ class Model:
         Raises:
             InvalidSettingError: its likelihood compares whole simulations with the video.
         """
-        if is_stepwise(self.likelihood):
+        if is_closed_loop(self.likelihood):
             return self
         if self.likelihood is not None:
             raise InvalidSettingError(
                 f"likelihood={shown(self.likelihood)} compares whole simulations with the video, "
                 'which takes a kernel that samples: infer(..., kernel="local_mh")'
             )
-        from phase_ppl.models.stepwise import StepwiseLikelihood
+        from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 
-        return dataclasses.replace(self, likelihood=StepwiseLikelihood())
+        return dataclasses.replace(self, likelihood=ClosedLoopLikelihood())
 
     def for_sampling(self) -> Model:
         """Return the model with a likelihood for kernels: its own, or a ``RadialLikelihood``."""
@@ -190,7 +195,7 @@ class Model:
     def error_likelihood(self) -> TrajectoryLikelihood:
         """The likelihood that kernels use; it turns the error of each frame into a log density."""
         likelihood: Any = self.for_sampling().likelihood
-        return InNats() if is_stepwise(likelihood) else likelihood
+        return InNats() if is_closed_loop(likelihood) else likelihood
 
     def planner_config(self) -> PlannerConfig:
         """Return the settings of the joint simulator's planner."""
@@ -229,22 +234,15 @@ class Model:
 # --- whether a prior can work ---------------------------------------------------------------------
 
 
-_STATEMENTS: Final = {
-    ALPHA_SITE: "phase_ppl.sites.{}()",
-    COMPANY_SITE: "phase_ppl.roles.{}(world)",
-}
-"""Site of the ways in which agents stand to each other -> statements for a prior of its world."""
-
-
 def _expected(space: HypothesisSpace) -> dict[str, str]:
     """Return in words what each site of a hypothesis must be."""
-    company = space.company_site
-    statement = _STATEMENTS[company].format
+    in_phase = not space.alpha_names
+    statement = ("phase_ppl.sites.{}()" if in_phase else "phase_ppl.roles.{}(world)").format
     return {
         **dict.fromkeys(
             space.goal_sites, f"a goal code, 0..{space.n_goals - 1}, as {statement('goals')}"
         ),
-        company: f"an {company} code, 0..{len(space.ways) - 1}, as {statement(company)}",
+        ALPHA_SITE: f"an alpha code, 0..{len(space.ways) - 1}, as {statement('alpha')}",
         **dict.fromkeys(
             space.strength_sites,
             f"a positive real number, as {statement('strengths')}, or one of a few, as "

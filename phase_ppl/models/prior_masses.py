@@ -15,7 +15,7 @@ import numpy as np
 
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace
 
 MOST_HYPOTHESES: Final = 500_000  # hypotheses that are summed over; of more, so many are drawn
 MOST_FOLLOWED: Final = 50_000
@@ -26,7 +26,7 @@ MOST_READ: Final = 100_000
 
 APART: Final = {
     "log_prior_goals": ("agent", "goal"),
-    "log_prior_company": ("way",),
+    "log_prior_alpha": ("way",),
     "log_prior_strengths": ("agent", "level"),
 }
 """Variables of a prior whose sites are independent of each other; others have ``log_prior``."""
@@ -49,9 +49,9 @@ class PriorMasses:
 
     Args:
         space: of the world.
-        kept: what a file has of the prior (:func:`phase_ppl.models.stepwise.stepwise_prior`): a
-            table of all hypotheses, in which sites may depend on each other; or the masses of
-            goals, ways and strengths that are independent of each other. Then the own goal of an
+        kept: what a file has of the prior (``models.closed_loop.closed_loop_prior``): a table of
+            all hypotheses, in which sites may depend on each other; or the masses of goals, ways
+            and strengths that are independent of each other. Then the own goal of an
             agent that helps or hinders is not part of a hypothesis.
         combinations: (combination, agent) strengths that are followed, newtons.
     """
@@ -66,10 +66,10 @@ class PriorMasses:
         if self.log_prior is not None:
             self.n_hypotheses = math.prod(self.log_prior.shape[: space.n_agents + 1])
             return
-        self.log_goals, self.log_company, self._log_strengths = (kept[name] for name in APART)
+        self.log_goals, self.log_alpha, self._log_strengths = (kept[name] for name in APART)
         for way, towards in enumerate(space.ways):
             owners = [agent for agent, one in enumerate(towards) if one is None]
-            if np.isfinite(self.log_company[way]):
+            if np.isfinite(self.log_alpha[way]):
                 own = [np.flatnonzero(np.isfinite(self.log_goals[owner])) for owner in owners]
                 self._possible.append((way, owners, own))
         sizes = (math.prod(map(len, choices)) for _, _, choices in self._possible)
@@ -88,7 +88,7 @@ class PriorMasses:
                 for _, _, choices in self._possible
             ]
             return self._put_together(picked, [np.zeros(len(one)) for one in picked])
-        sites = (*self.space.goal_sites, self.space.company_site)
+        sites = (*self.space.goal_sites, ALPHA_SITE)
         every = np.indices(self.log_prior.shape[: len(sites)], np.int64).reshape(len(sites), -1)
         *stated, way = every
         goals = self.space.effective(dict(zip(sites, every, strict=True)))
@@ -127,9 +127,9 @@ class PriorMasses:
             for agent, owner in enumerate(space.owner[way]):
                 every[:, agent] = space.becomes[way, agent][every[:, owner]]
             goals.append(every)
-            log_prior.append(self.log_company[way] + self.log_goals[owners, own].sum(axis=1))
+            log_prior.append(self.log_alpha[way] + self.log_goals[owners, own].sum(axis=1))
             ways.append(np.full(len(own), way))
-        share = space.possible_share(self.log_goals, self.log_company)
+        share = space.possible_share(self.log_goals, self.log_alpha)
         found = np.concatenate(goals)
         possible = (found >= 0).all(axis=1)
         which, log_mass, log_draw = map(np.concatenate, (ways, log_prior, log_drawn))
@@ -206,7 +206,7 @@ class ToRead(NamedTuple):
             sites = dict(zip(space.goal_sites, self.goals[goals].tolist(), strict=True))
             newtons = self.combinations[combination].tolist()
             sites |= dict(zip(space.strength_sites, newtons, strict=True))
-            found.append(space.hypothesis({**sites, space.company_site: 0}))
+            found.append(space.hypothesis({**sites, ALPHA_SITE: 0}))
         return found
 
 

@@ -20,7 +20,7 @@ from phase_ppl.models.density import NO_DENSITY, Sites, draw, latent_sites, log_
 from phase_ppl.models.effective import space_of_prior
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
 SEED_SITE: Final = "sim_seed"
@@ -251,7 +251,7 @@ def _check_not_given(sites: Sites) -> None:
 
 def effective_goals(space: HypothesisSpace, sites: Sites) -> jax.Array:
     """Return (agent,) the codes of the goals that agents act on; inside compiled code."""
-    way = sites[space.company_site]
+    way = sites[ALPHA_SITE]
     stated = jnp.stack([jnp.asarray(sites[name], jnp.int32) for name in space.goal_sites])
     owner, agents = jnp.asarray(space.owner)[way], np.arange(space.n_agents)
     return jnp.asarray(space.becomes)[way, agents, stated[owner]]

@@ -27,7 +27,7 @@ from numpyro.distributions import constraints
 
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 
 __all__ = [
     "ALPHA_PROBABILITIES",
@@ -50,7 +50,6 @@ _MASSLESS = -1e15  # values with logits below this are outside the support
 
 _SPACE: Final = space_of(PHASE)
 GOAL_SITES: Final = _SPACE.goal_sites  # stated goals: indices into ``GOALS``
-ALPHA_SITE: Final = _SPACE.company_site  # index into ``ALPHAS``
 STRENGTH_SITES: Final = _SPACE.strength_sites  # maximum forces, newtons
 HYPOTHESIS_SITES: Final = _SPACE.sites
 

@@ -1,6 +1,6 @@
 """Priors over who wants what in any world: NumPyro programs of one argument, the world.
 
-A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
+A program samples ``goal_<agent>`` (an index into ``world.goals``), ``alpha`` (an index into
 :func:`phase_ppl.world.hypothesis.all_ways`: who helps or hinders whom) and ``strength_<agent>``
 (newtons). ``world.keys`` has the agents' short names, such as "red". The goal of an agent that
 helps or hinders is not used. These sites must be independent of each other, unless the closed loop
@@ -8,10 +8,10 @@ reads a world with few enough hypotheses for a table of them all, such as PHASE:
 
     def alone(world):
         phase_ppl.roles.goals(world)
-        phase_ppl.roles.company(world, social=0.0)
+        phase_ppl.roles.alpha(world, social=0.0)
         phase_ppl.roles.strengths(world)
 
-    phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
+    phase_ppl.Model(prior=alone, likelihood=phase_ppl.ClosedLoopLikelihood())
 
 A prior of any world may look at the video: see :func:`bound`. Bound to a world, a prior is a
 :class:`WorldPrior`. :mod:`phase_ppl.models.effective` makes the tables. Without a table, the mass
@@ -46,9 +46,9 @@ from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.identity import event_digest, qualified_name
 from phase_ppl.world.scene import PHASE, Scene, World
-from phase_ppl.world.space import COMPANY_SITE, space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 
-__all__ = ["company", "draw", "goals", "strengths", "uniform"]
+__all__ = ["alpha", "draw", "goals", "strengths", "uniform"]
 
 _DRAWS: Final = 1000  # of hypotheses, until all can act on their goals
 _PRIORS_KEPT: Final = 8
@@ -56,24 +56,24 @@ _PRIORS_KEPT: Final = 8
 RolePrior = Callable[[World], object]
 
 
-def company(world: World, social: float = SOCIAL) -> None:
-    """Sample the site ``company``: who helps or hinders whom.
+def alpha(world: World, social: float = SOCIAL) -> None:
+    """Sample the site ``alpha``: who helps or hinders whom.
 
     With probability ``social`` some agent helps or hinders another; all ways to do so are equally
     likely. Default: 2/3, as in the paper.
     """
     n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
-    numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
+    numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(probs)))
 
 
 def uniform(world: World, social: float = SOCIAL) -> None:
-    """The paper's prior in any world: :func:`goals`, :func:`company` and :func:`strengths`.
+    """The paper's prior in any world: :func:`goals`, :func:`alpha` and :func:`strengths`.
 
     ``social`` is the probability that some agent helps or hinders another.
     """
     goals(world)
-    company(world, social)
+    alpha(world, social)
     strengths(world)
 
 
@@ -162,7 +162,7 @@ class Masses(NamedTuple):
 
     name: str  # of the prior
     goals: FloatArray  # (agent, goal)
-    company: FloatArray  # (way,), see ``hypothesis.all_ways``
+    alpha: FloatArray  # (way,), see ``hypothesis.all_ways``
     trace: Mapping[str, Any]  # a run of the program
 
 
@@ -175,7 +175,7 @@ def masses(prior: WorldPrior) -> Masses:
     """
     name, world = qualified_name(prior.given), prior.world
     space = space_of(world)
-    wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
+    wanted = (*space.goal_sites, ALPHA_SITE, *space.strength_sites)
     try:
         trace = density.traced(prior, jax.random.key(0))
         depends = get_dependencies(prior)["prior_dependencies"]
@@ -190,7 +190,7 @@ def masses(prior: WorldPrior) -> Masses:
         if others := sorted(set(depends.get(site, {})) - {site}):
             raise refused(
                 name,
-                f"makes {site!r} depend on {', '.join(others)}: outside of PHASE goals, company "
+                f"makes {site!r} depend on {', '.join(others)}: outside of PHASE goals, alpha "
                 "and strengths must be independent of each other",
             )
 
@@ -212,7 +212,7 @@ def masses(prior: WorldPrior) -> Masses:
     for agent, goal in np.argwhere(np.isfinite(own) & space.impossible).tolist():
         whose = f"the goal {world.goals[goal]!r} of the {world.agents[agent]}, whom it names"
         raise refused(name, f"gives mass to {whose}")
-    return Masses(name, own, of_site(COMPANY_SITE, len(hypothesis.all_ways(space.n_agents))), trace)
+    return Masses(name, own, of_site(ALPHA_SITE, len(hypothesis.all_ways(space.n_agents))), trace)
 
 
 def refused(prior: str, fault: str) -> InvalidSettingError:
@@ -327,7 +327,7 @@ def effective_goals(prior: Program, most: float) -> NDArray[np.int64] | None:
     stated = np.stack(np.meshgrid(*own, indexing="ij"), -1).reshape(-1, space.n_agents)
     every = [
         space.becomes[way, np.arange(space.n_agents), stated[:, space.owner[way]]]
-        for way in np.flatnonzero(np.isfinite(found.company))
+        for way in np.flatnonzero(np.isfinite(found.alpha))
     ]
     goals = np.unique(np.concatenate(every), axis=0)
     return goals[(goals >= 0).all(axis=1)].astype(np.int64)
@@ -343,7 +343,7 @@ def log_prior_of_effective(
     if not isinstance(prior, WorldPrior):
         return effective.log_prior_of_effective(prior, goals, strengths)
     found, space = masses_of(prior), space_of_prior(prior)
-    by_way = space.log_prior_of_effective(found.goals, found.company, goals)
+    by_way = space.log_prior_of_effective(found.goals, found.alpha, goals)
     log_prior = np.logaddexp.reduce(by_way, axis=0)
     for name in space.strength_sites:
         law, newtons = found.trace[name]["fn"], jnp.asarray(strengths[name], jnp.float32)
@@ -355,14 +355,14 @@ def log_prior_of_effective(
 def kept_prior(prior: Program) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
     """Return what a file keeps of a prior over goals: name -> dimensions and values.
 
-    In PHASE ``prior_of_pairs``; elsewhere ``log_prior_goals`` and ``log_prior_company``.
+    In PHASE ``prior_of_pairs``; elsewhere ``log_prior_goals`` and ``log_prior_alpha``.
     """
     if not isinstance(prior, WorldPrior):
         return {"prior_of_pairs": (("pair_red", "pair_green"), effective.prior_of_pairs(prior))}
     found = masses_of(prior)
     return {
         "log_prior_goals": (("agent", "goal"), found.goals),
-        "log_prior_company": (("way",), found.company),
+        "log_prior_alpha": (("way",), found.alpha),
     }
 
 
@@ -380,7 +380,7 @@ def drawn_stated(
     if not isinstance(prior, WorldPrior):
         return effective.drawn_stated(prior, goals, strengths, seed)
     found, space, rng = masses_of(prior), space_of_prior(prior), np.random.default_rng(seed)
-    by_way = space.log_prior_of_effective(found.goals, found.company, goals)
+    by_way = space.log_prior_of_effective(found.goals, found.alpha, goals)
     # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
     way = (by_way + rng.gumbel(size=by_way.shape)).argmax(axis=0)
     stated, rows = np.array(goals, np.int64), np.arange(len(goals))

@@ -46,7 +46,7 @@ class Simulator(Protocol):
       with a run.
     * ``warm_up()``: does once the work that all processes can share, such as compiling.
 
-    For the closed loop (:class:`phase_ppl.StepwiseLikelihood`) a simulator needs one of the two
+    For the closed loop (:class:`phase_ppl.ClosedLoopLikelihood`) a simulator needs one of the two
     methods below; then ``__call__`` is optional. ``seen``, (time, entity, 3), is the earlier
     frames. If a simulator has both methods, only the first is called:
 

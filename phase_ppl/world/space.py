@@ -1,9 +1,8 @@
 """Which hypotheses there are in a world: the sites of a prior, and what they come to.
 
 A hypothesis is a goal of each agent, a way in which agents stand to each other, and strengths. It
-has a site for each: ``goal_<agent>``, ``alpha`` in PHASE and ``company`` elsewhere, and
-``strength_<agent>``. Priors, kernels, the bridge to the simulator, files and posteriors take names,
-codes and effective goals from here.
+has a site for each: ``goal_<agent>``, ``alpha`` and ``strength_<agent>``. Priors, kernels, the
+bridge to the simulator, files and posteriors take names, codes and effective goals from here.
 """
 
 from __future__ import annotations
@@ -31,9 +30,8 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.scene import PHASE, World
 
-COMPANY_SITE: Final = "company"
 ALPHA_SITE: Final = "alpha"
-"""Sites of the way in which agents stand to each other, in other worlds and in PHASE."""
+"""Site of the way in which agents stand to each other: an index into ``ways``."""
 
 MOST_LISTED: Final = 20_000  # stated goals with ways, of which a prior can be a table
 
@@ -45,7 +43,6 @@ class HypothesisSpace:
         world: whose agents and goals.
         n_agents, n_goals: numbers of its agents and goals.
         ways: in which agents can stand to each other, by code; each as :attr:`Hypothesis.towards`.
-        company_site: name of the site of the ways.
         goal_sites: names of the sites of stated goals; in files and posteriors, of effective ones.
         stated_sites: names of stated goals in files and posteriors.
         strength_sites: names of the sites of strengths, newtons.
@@ -57,14 +54,14 @@ class HypothesisSpace:
         alpha_names: names of those that say what one agent does to another -> the two, in order;
             none in PHASE, whose site ``alpha`` says it.
         scenario_names: names of those that say it in the paper's four scenarios.
-        limits: site -> number of its codes; of goals and the company.
+        limits: site -> number of its codes; of goals and alpha.
     """
 
     def __init__(self, world: World) -> None:
         self.world = world
         self.n_agents, self.n_goals = len(world.agents), len(world.goals)
         self.ways = all_ways(self.n_agents)
-        self.company_site, self.scenario_names = COMPANY_SITE, tuple[str, ...]()
+        self.scenario_names: tuple[str, ...] = ()
         self.relation_names = {
             f"relation_{world.keys[one]}_{world.keys[other]}": (one, other)
             for one, other in itertools.combinations(range(self.n_agents), 2)
@@ -78,16 +75,16 @@ class HypothesisSpace:
                 tuple((1 - agent, sign) if sign else None for agent, sign in enumerate(alpha))
                 for alpha in ALPHAS
             )
-            self.company_site, self.scenario_names = ALPHA_SITE, ("scenario",)
+            self.scenario_names = ("scenario",)
             self.relation_names, self.alpha_names = {"relation": (0, 1)}, {}
         self.goal_sites = tuple(f"goal_{key}" for key in world.keys)
         self.stated_sites = tuple(f"stated_{name}" for name in self.goal_sites)
         self.strength_sites = tuple(f"strength_{key}" for key in world.keys)
-        self.sites = (*self.goal_sites, self.company_site, *self.strength_sites)
-        self.kept_columns = (*self.stated_sites, self.company_site, *self.strength_sites)
+        self.sites = (*self.goal_sites, ALPHA_SITE, *self.strength_sites)
+        self.kept_columns = (*self.stated_sites, ALPHA_SITE, *self.strength_sites)
         self.columns = (*self.goal_sites, *self.kept_columns)
         self.limits = dict.fromkeys(self.goal_sites, self.n_goals)
-        self.limits[self.company_site] = len(self.ways)
+        self.limits[ALPHA_SITE] = len(self.ways)
 
     @property
     def is_listed(self) -> bool:
@@ -135,7 +132,7 @@ class HypothesisSpace:
 
     def effective(self, sites: Mapping[str, NDArray[Any]]) -> NDArray[np.int32]:
         """Return (row, agent) effective goals of columns of sites, each (row,)."""
-        way = np.asarray(sites[self.company_site])
+        way = np.asarray(sites[ALPHA_SITE])
         stated = np.stack([np.asarray(sites[name]) for name in self.goal_sites], axis=-1)
         owner = self.owner[way]
         return self.becomes[
@@ -147,12 +144,12 @@ class HypothesisSpace:
 
         All have goals that they can have, and something to do where they help or hinder.
         """
-        inside = np.ones(np.shape(sites[self.company_site]), bool)
+        inside = np.ones(np.shape(sites[ALPHA_SITE]), bool)
         for agent, name in enumerate(self.goal_sites):
             codes = sites[name]
             in_range = (codes >= 0) & (codes < self.n_goals)
             inside &= in_range & ~self.impossible[agent][np.where(in_range, codes, 0)]
-        way = sites[self.company_site]
+        way = sites[ALPHA_SITE]
         inside &= (way >= 0) & (way < len(self.ways))
         readable = {name: np.where(inside, sites[name], 0) for name in self.limits}
         inside &= (self.effective(readable) >= 0).all(axis=-1)
@@ -164,9 +161,7 @@ class HypothesisSpace:
         """Return what values of the sites stand for, as simulators take it."""
         goals = tuple(int(sites[name]) for name in self.goal_sites)
         strengths = tuple(float(sites[name]) for name in self.strength_sites)
-        return Hypothesis.coded(
-            self.world, goals, self.ways[int(sites[self.company_site])], strengths
-        )
+        return Hypothesis.coded(self.world, goals, self.ways[int(sites[ALPHA_SITE])], strengths)
 
     @functools.cached_property
     def relations(self) -> dict[tuple[int, int], NDArray[np.int64]]:
@@ -197,7 +192,7 @@ class HypothesisSpace:
         return found
 
     def log_prior_of_effective(
-        self, log_goals: FloatArray, log_company: FloatArray, goals: NDArray[Any]
+        self, log_goals: FloatArray, log_alpha: FloatArray, goals: NDArray[Any]
     ) -> FloatArray:
         """Return (way, row) log masses of effective goals (row, agent) together with each way.
 
@@ -206,7 +201,7 @@ class HypothesisSpace:
         goals = np.asarray(goals, np.int64)
         found = np.empty((len(self.ways), len(goals)))
         for way, towards in enumerate(self.ways):
-            found[way] = log_company[way]
+            found[way] = log_alpha[way]
             for agent, one in enumerate(towards):
                 if one is None:
                     found[way] += log_goals[agent][goals[:, agent]]
@@ -215,13 +210,13 @@ class HypothesisSpace:
                     found[way][~follows] = -np.inf
         return found
 
-    def possible_share(self, log_goals: FloatArray, log_company: FloatArray) -> float:
+    def possible_share(self, log_goals: FloatArray, log_alpha: FloatArray) -> float:
         """Return the prior mass of hypotheses in which whoever helps or hinders can act.
 
         Masses as of :meth:`log_prior_of_effective`. The others have no part in a posterior.
         """
         shares, total = np.exp(log_goals), 0.0
-        for way, share in enumerate(np.exp(log_company)):
+        for way, share in enumerate(np.exp(log_alpha)):
             for owner in np.unique(self.owner[way]):
                 follow = self.becomes[way][self.owner[way] == owner]
                 share *= shares[owner][(follow >= 0).all(axis=0)].sum()

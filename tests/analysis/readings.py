@@ -1,4 +1,4 @@
-"""Readings made by hand, as the tests of stepwise posteriors need them."""
+"""Readings made by hand, as the tests of posteriors of the closed loop need them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import SCHEMA
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
+from phase_ppl.analysis.closed_loop_table import SCHEMA
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
@@ -128,7 +128,7 @@ QUICK = PlannerConfig(simulations=4, particles=6)
 
 
 @functools.cache
-def of_three() -> StepwisePosterior:
+def of_three() -> ClosedLoopPosterior:
     """Return what is read of eight frames in which purple hinders red."""
     poses = {"red agent": (4, 8), "green agent": (30, 18), "purple agent": (9, 3)}
     event = ppl.simulate(
@@ -139,7 +139,7 @@ def of_three() -> StepwisePosterior:
         planner=QUICK,
         seed=2,
     )
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2), planner=QUICK)
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=2), planner=QUICK)
     found = ppl.infer(event, model, workers=1, progress=False)
-    assert isinstance(found, StepwisePosterior)
+    assert isinstance(found, ClosedLoopPosterior)
     return found

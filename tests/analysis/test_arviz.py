@@ -15,8 +15,8 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.with_arviz import ess, resampled
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference import runs
@@ -91,7 +91,7 @@ def test_arviz_says_what_is_printed_whatever_the_kernel(kernel: str, iterations:
 
 
 def test_what_is_read_step_by_step_has_draws_and_no_chains() -> None:
-    post = StepwisePosterior(reading()).define("weak", "strength_red < strength_green")
+    post = ClosedLoopPosterior(reading()).define("weak", "strength_red < strength_green")
     for frame in (0, 1, 3):
         agrees(post.at(frame))
     data = post.arviz
@@ -123,7 +123,7 @@ def test_arviz_finds_draws_of_weighted_rows_worth_as_many_as_their_weights() -> 
 def test_a_file_has_the_same_draws(tmp_path: Path) -> None:
     own = {"same_target": "target_red = target_green"}
     posts = [Posterior(run_of("local_mh", 6).tree, w) for w in ("stratified", "count")]
-    for post in (*posts, run_of("amis", 6), StepwisePosterior(reading()).at(2)):
+    for post in (*posts, run_of("amis", 6), ClosedLoopPosterior(reading()).at(2)):
         for name, words in own.items():
             post.define(name, words)
         again = ppl.load_posterior(post.save(tmp_path / "post.nc"))
@@ -137,7 +137,7 @@ def test_a_file_has_the_same_draws(tmp_path: Path) -> None:
 
 
 def test_there_are_no_log_likelihoods_and_the_data_say_why(post: Posterior) -> None:
-    for data in (post.arviz, post.chains, StepwisePosterior(reading()).arviz):
+    for data in (post.arviz, post.chains, ClosedLoopPosterior(reading()).arviz):
         assert "log_likelihood" not in groups(pickle.loads(pickle.dumps(data)))
         assert "frames of a video" in data.attrs["loo"]
 

@@ -11,14 +11,14 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError
 
 from .factory import tree_by_frame
 from .readings import reading
 
-SAMPLED, READ = Posterior(tree_by_frame(2)), StepwisePosterior(reading())
+SAMPLED, READ = Posterior(tree_by_frame(2)), ClosedLoopPosterior(reading())
 
 ONLY_SAMPLED = {
     "tree": "draws and simulations",
@@ -50,7 +50,7 @@ def test_both_take_the_same_arguments() -> None:
     methods = names(SAMPLED) & names(READ)
     for name in methods - {"load"}:  # of draws it can be said how to weigh them
         one, other = (
-            inspect.getattr_static(kind, name, None) for kind in (Posterior, StepwisePosterior)
+            inspect.getattr_static(kind, name, None) for kind in (Posterior, ClosedLoopPosterior)
         )
         assert type(one) is type(other) or {type(one), type(other)} <= {property}, name
         if callable(one):

@@ -14,10 +14,10 @@ from matplotlib.colors import to_rgb
 
 import phase_ppl as ppl
 from phase_ppl.analysis import figures as plots
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.figures.beliefs import beliefs_of, discovery
 from phase_ppl.analysis.figures.style import MANY_COLOURS, OTHER
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import ENTITIES
@@ -152,7 +152,7 @@ def test_events_and_scenes_are_drawn() -> None:
 
 
 def test_posteriors_are_tables_and_figures_show_themselves(tmp_path: Path) -> None:
-    post = StepwisePosterior(reading())
+    post = ClosedLoopPosterior(reading())
     shown, found = post._repr_html_(), post.diagnostics()
     assert found["answer"] in shown
     assert all(f"<strong>{one['name']}</strong>" in shown for one in found["checks"])

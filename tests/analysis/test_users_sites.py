@@ -11,7 +11,7 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.models.sites import OneOf
 from phase_ppl.world.errors import InvalidSettingError, QueryError
 from phase_ppl.world.goals import GOALS
@@ -58,25 +58,25 @@ def tired_of_five() -> None:
     ppl.sites.alpha()
 
 
-def of_alpha(post: StepwisePosterior, prior: np.ndarray) -> np.ndarray:
+def of_alpha(post: ClosedLoopPosterior, prior: np.ndarray) -> np.ndarray:
     """Return (alpha,) likelihoods, of a posterior under a prior that depends on alpha alone."""
     return np.asarray(post.marginal("alpha").values) / prior
 
 
 @pytest.fixture(scope="module")
-def post() -> StepwisePosterior:
-    return StepwisePosterior(FOUND).with_prior(moody)
+def post() -> ClosedLoopPosterior:
+    return ClosedLoopPosterior(FOUND).with_prior(moody)
 
 
 @pytest.fixture(scope="module")
-def drawn() -> StepwisePosterior:
-    return StepwisePosterior(FOUND).with_prior(friendly)
+def drawn() -> ClosedLoopPosterior:
+    return ClosedLoopPosterior(FOUND).with_prior(friendly)
 
 
-def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) -> None:
+def test_a_site_with_few_values_is_summed_over_exactly(post: ClosedLoopPosterior) -> None:
     by_mood, prior = np.asarray(BY_MOOD, float), np.array([1 - HOSTILE, HOSTILE])
     for at in (post, post.at(0), post.at(2)):
-        plain = StepwisePosterior(FOUND, at.frame).with_prior("sparse_social")
+        plain = ClosedLoopPosterior(FOUND, at.frame).with_prior("sparse_social")
         joint = (prior[:, None] * by_mood) * of_alpha(plain, SPARSE)
         joint /= joint.sum()
         assert at.query("P(hostile=1)") == pytest.approx(joint[1].sum(), abs=1e-5)
@@ -94,9 +94,9 @@ def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) 
     np.testing.assert_allclose(post.marginal("alpha"), post.sites.marginal("alpha"), atol=1e-5)
 
 
-def test_other_sites_are_drawn_with_their_monte_carlo_error(drawn: StepwisePosterior) -> None:
+def test_other_sites_are_drawn_with_their_monte_carlo_error(drawn: ClosedLoopPosterior) -> None:
     post = drawn
-    flat = StepwisePosterior(FOUND).with_prior("sparse_social")
+    flat = ClosedLoopPosterior(FOUND).with_prior("sparse_social")
     shares = np.array([0.25, *[0.1875] * 4]) * of_alpha(flat, SPARSE)
     shares /= shares.sum()
     helping, hindering = shares[1:3].sum(), shares[3:].sum()
@@ -115,7 +115,7 @@ def test_other_sites_are_drawn_with_their_monte_carlo_error(drawn: StepwisePoste
 
 @pytest.mark.parametrize("condition", ["hostile=1", "friendliness > 0.5"])
 def test_what_depends_on_strengths_has_no_error_beside_sites_either(
-    condition: str, post: StepwisePosterior, drawn: StepwisePosterior
+    condition: str, post: ClosedLoopPosterior, drawn: ClosedLoopPosterior
 ) -> None:
     post = post if "hostile" in condition else drawn
     for asked in ("E[strength_red", "P(strength_red > strength_green", "hdi[strength_green"):
@@ -125,8 +125,8 @@ def test_what_depends_on_strengths_has_no_error_beside_sites_either(
     assert np.isnan(post.query(f"P({condition} | strength_red > 300)").error)
 
 
-def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwisePosterior) -> None:
-    start, post = drawn.at(0), StepwisePosterior(FOUND).with_prior(tired)
+def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: ClosedLoopPosterior) -> None:
+    start, post = drawn.at(0), ClosedLoopPosterior(FOUND).with_prior(tired)
     for at, question, exact, most in (
         (start, "E[hits]", 1.25, 0.02),
         (start, "P('spared ones'=4)", 0.25, 0.02),
@@ -148,7 +148,7 @@ def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwiseP
 def leaning(world: ppl.World) -> None:
     strong = numpyro.sample("strong", dist.Bernoulli(0.3))
     ppl.roles.goals(world)
-    ppl.roles.company(world)
+    ppl.roles.alpha(world)
     numpyro.sample("strength_red", dist.Uniform(150.0 + 300 * strong, 600.0))
 
 
@@ -160,11 +160,11 @@ def test_so_may_sites_in_another_world_whose_hypotheses_are_few() -> None:
     assert post.query("P(strength_red > 400 | strong=1)") == pytest.approx(1)
     weak = post.query("P(strength_red > 400 | strong=0)")
     assert weak == pytest.approx(1 / 2, abs=0.01)  # of levels 450 and 600, from 375 N on
-    with pytest.raises(InvalidSettingError, match="outside of PHASE goals, company and strengths"):
+    with pytest.raises(InvalidSettingError, match="outside of PHASE goals, alpha and strengths"):
         ppl.Model(prior=leaning).in_world(ppl.worlds.TRIO)
 
 
-def test_few_draws_do_not_make_what_is_drawn_sure(drawn: StepwisePosterior) -> None:
+def test_few_draws_do_not_make_what_is_drawn_sure(drawn: ClosedLoopPosterior) -> None:
     post, goals = drawn, drawn.sites.table.values
     never = post.probability(friendliness=(0.99999, 1.0))
     assert (never, never.error > 0) == (0, True)
@@ -174,7 +174,7 @@ def test_few_draws_do_not_make_what_is_drawn_sure(drawn: StepwisePosterior) -> N
     assert post.probability(friendliness=(0.7, 1.0), given=given).error > 0.1
 
 
-def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior) -> None:
+def test_definitions_and_what_is_missing(tmp_path: Path, post: ClosedLoopPosterior) -> None:
     post.define("grim", "hostile=1, not alpha=(0, 0)").define("same", "goal_red = goal_green")
     both = post.query("P(grim=True, same=True)")
     assert 0 < both < post.query("P(hostile=1)")

@@ -21,7 +21,7 @@ from scipy.stats import multinomial
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import what_if
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.what_if import Change, WhatIf, _drawn
 from phase_ppl.closed_loop.hidden_state import Tracking, reconstructed
 from phase_ppl.models.effective import prior_of_pairs, prior_table
@@ -166,13 +166,13 @@ def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior) -> None:
 
 
 def test_what_was_read_goes_on_from_the_past_followed(monkeypatch: pytest.MonkeyPatch) -> None:
-    likelihood = ppl.StepwiseLikelihood(tracking=Tracking(LEVELS, noise=0.02))
+    likelihood = ppl.ClosedLoopLikelihood(tracking=Tracking(LEVELS, noise=0.02))
     settings = {"likelihood": likelihood.to_dict(), "model": {"planner": PLANNER.to_dict()}}
     followed: list[Any] = []
     monkeypatch.setattr(
         what_if, "reconstructed", lambda *given: followed.append(given[2]) or reconstructed(*given)
     )
-    post = StepwisePosterior(reading(settings=json.dumps(settings)))
+    post = ClosedLoopPosterior(reading(settings=json.dumps(settings)))
     assert post.predict(0.25, n=2, workers=1).poses.shape[:2] == (1, 2)
     assert followed == [likelihood.tracking]
 
@@ -301,7 +301,7 @@ def test_a_closed_loop_goes_on_from_its_hypotheses() -> None:
     (agent,) = scene.world.agents
     goal = next(goal for goal in scene.world.goals if goal.startswith("get to"))
     event = ppl.simulate(scene, goals={agent: goal}, frames=8, seed=0, planner=QUICK)
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=PLANNER)
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1), planner=PLANNER)
     post = ppl.infer(event, model, progress=False, workers=1)
     sure = post.do(goal_red=goal, at=6, seconds=6, n=4, workers=1)
     assert sure.tracks.sizes["entity"] == 3
@@ -320,7 +320,7 @@ def test_ways_are_found_again_in_what_was_read_of_three_agents() -> None:
     # whoever helped or hindered wants what the prior says, not what it did for or against others
     changed = post.with_prior(seldom)
     drawn = _drawn(changed, np.exp(changed.dataset["log_prior_goals"].values), 4000, 0)
-    idle = [one for one in drawn if space_of(CAST).ways[one["company"]][2] is not None]
+    idle = [one for one in drawn if space_of(CAST).ways[one["alpha"]][2] is not None]
     wanted = [Change.of(CAST, {}, relation={}).hypothesis(one).effective_goals[2] for one in idle]
     assert len(idle) > 200
     assert np.mean(np.array(wanted) == HOME) == pytest.approx(0.7, abs=0.1)
@@ -334,7 +334,7 @@ def seldom(world: ppl.World) -> None:
     with handlers.block(hide=["goal_purple"]):
         ppl.roles.goals(world)
     numpyro.sample("goal_purple", dist.Categorical(probs=jnp.array(probs)))
-    ppl.roles.company(world)
+    ppl.roles.alpha(world)
     ppl.roles.strengths(world)
 
 
@@ -342,11 +342,11 @@ def seldom(world: ppl.World) -> None:
 
 
 def test_a_table_under_another_prior_is_that_of_a_run_with_it() -> None:
-    post = StepwisePosterior(reading())
+    post = ClosedLoopPosterior(reading())
     post.define("same", lambda h: h.goal_red == h.goal_green)
     changed = post.with_prior("sparse_social")
     prior = prior_table(ppl.priors.sparse_social, LEVELS)
-    anew = StepwisePosterior(reading(columns={"log_prior": prior}))
+    anew = ClosedLoopPosterior(reading(columns={"log_prior": prior}))
     found = changed.probability(relation="friendly")
     assert found == pytest.approx(anew.probability(relation="friendly"), abs=1e-9)
     assert found.error > 0
@@ -426,7 +426,7 @@ def related(share: float) -> None:
 
 
 def test_a_curve_against_an_argument_of_the_prior() -> None:
-    post = StepwisePosterior(reading())
+    post = ClosedLoopPosterior(reading())
     curve = post.sensitivity("P(relation)", related, (0.1, 0.9))
     assert curve.dims == ("value", "relation")
     alone = post.with_prior(functools.partial(related, 0.9)).marginal("relation")

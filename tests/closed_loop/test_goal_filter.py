@@ -11,7 +11,7 @@ from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import ActionPolicy, Plans, policies_of
 from phase_ppl.physics.actions import N_ACTIONS, Action
 
-POLICY = ActionPolicy(sharpness=2.0, lapse=0.3)
+POLICY = ActionPolicy(inverse_temperature=2.0, lapse=0.3)
 STANDPOINTS = 5
 OTHER = 3
 """The one standpoint of both agents from which they do something else than from the others."""

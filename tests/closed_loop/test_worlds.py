@@ -20,7 +20,7 @@ TRIO = ppl.worlds.TRIO
 
 
 def model(planner_seeds: int) -> ppl.Model:
-    likelihood = ppl.StepwiseLikelihood(planner_seeds=planner_seeds)
+    likelihood = ppl.ClosedLoopLikelihood(planner_seeds=planner_seeds)
     return ppl.Model(likelihood=likelihood, planner=QUICK)
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.inference.checkpoint import write_archive
 from phase_ppl.world.errors import OutputError
 from tests.analysis.factory import random_tree
@@ -36,7 +36,7 @@ from tests.analysis.readings import reading
 
 folder = Path(sys.argv[1])
 event = ppl.load_event("collaborate")
-read = StepwisePosterior(reading())
+read = ClosedLoopPosterior(reading())
 tree = Posterior(random_tree(1))
 for room in (5000, 3):
     # what a disk does that has room for a little more

@@ -99,7 +99,7 @@ def test_what_came_true_is_what_the_last_frame_says(events: list[ppl.Event]) -> 
 
 def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
     with pytest.raises(InvalidSettingError, match="of the worlds 'trio', 'solo', expected those"):
-        ppl.evaluate([*events, moved(SOLO, 1, None)], "stepwise", **ONE_PROCESS)
+        ppl.evaluate([*events, moved(SOLO, 1, None)], "closed_loop", **ONE_PROCESS)
     with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
         Prediction.of(Prediction("", answers={}), "", TRIO)
 

@@ -146,7 +146,7 @@ class Knows:
 
 def test_the_closed_loop_is_asked_about_strengths_too() -> None:
     model = ppl.Model(
-        prior=few_goals, simulator=Knows(), likelihood=ppl.StepwiseLikelihood(weight=0.5)
+        prior=few_goals, simulator=Knows(), likelihood=ppl.ClosedLoopLikelihood(weight=0.5)
     )
     found = ppl.calibrate(model, 3, **QUIET)
     table = found.table.set_index(["event", "quantity"])
@@ -167,7 +167,7 @@ class OnlyKnows:
 
 def test_what_cannot_be_drawn_is_said() -> None:
     beyond = ppl.Model(simulator=appear, likelihood=ppl.RadialLikelihood(0.05))
-    density = ppl.Model(simulator=OnlyKnows(), likelihood=ppl.StepwiseLikelihood())
+    density = ppl.Model(simulator=OnlyKnows(), likelihood=ppl.ClosedLoopLikelihood())
     for model, options, said in (
         (MODEL, {"scenes": []}, r"scenes=\[\]"),
         (MODEL, {"n": 0}, "n=0"),

@@ -124,7 +124,7 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path:
 
 
 def test_a_posterior_is_an_answer_and_what_it_says_of_itself_is_kept(tmp_path: Path) -> None:
-    made: dict[int, ppl.StepwisePosterior] = {}
+    made: dict[int, ppl.ClosedLoopPosterior] = {}
 
     def reads(scene: Any, observation: Any, seed: int) -> Any:
         if observation.n_frames == 5:

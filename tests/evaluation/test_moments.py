@@ -109,7 +109,7 @@ def test_a_posterior_is_read_at_the_frame_of_a_moment(tmp_path: Path) -> None:
     given = pd.DataFrame(rows, columns=["participant", "video", "at", "relation"])
     study = ppl.load_judgments(given, [event])
     found = ppl.evaluate(
-        [event], "stepwise", judgments=study, out=tmp_path / "out", workers=1, progress=False,
+        [event], "closed_loop", judgments=study, out=tmp_path / "out", workers=1, progress=False,
         planner=ppl.PlannerConfig(simulations=10, particles=5, paired=True),
     )  # fmt: skip
     post = found.posterior("begins")

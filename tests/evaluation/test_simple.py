@@ -50,8 +50,8 @@ def test_a_model_of_ones_own_is_explained_as_by_infer() -> None:
     assert made.predict.model is own  # type: ignore[attr-defined]
     assert "relation_first" in made.record["model_settings"]["model"]["prior"]
     read = ready(ppl.Model(prior="relation_first"), {})
-    assert read.name == "stepwise"
-    assert read.predict.model.likelihood == ppl.StepwiseLikelihood()  # type: ignore[attr-defined]
+    assert read.name == "closed_loop"
+    assert read.predict.model.likelihood == ppl.ClosedLoopLikelihood()  # type: ignore[attr-defined]
 
 
 def test_settings_of_simple_go_by_name() -> None:

@@ -10,7 +10,7 @@ import numpyro
 import numpyro.distributions as dist
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.world.goals import N_GOALS
 from tests.analysis.readings import reading
 from tests.inference.toy import GREEN_GOALS, RED_GOALS, few_goals
@@ -27,7 +27,7 @@ def skewed() -> None:
     ppl.sites.strengths()
 
 
-def made_up(seed: int = 0, sets: int = 3, noise: float = 0.2) -> StepwisePosterior:
+def made_up(seed: int = 0, sets: int = 3, noise: float = 0.2) -> ClosedLoopPosterior:
     """What each of so many sets of searches says of three frames, and their mean.
 
     What the frames say is the same for every seed, but for noise of each set, in nats.
@@ -39,7 +39,7 @@ def made_up(seed: int = 0, sets: int = 3, noise: float = 0.2) -> StepwisePosteri
     left_out = [np.delete(found, one, axis=0).mean(axis=0) for one in range(sets) if sets > 1]
     without = np.array(left_out, np.float32).reshape(-1, *truth.shape)
     columns = {"log_likelihood": found.mean(axis=0), "log_likelihood_without": without}
-    return StepwisePosterior(reading(sets, columns=columns)).with_prior(few_goals)
+    return ClosedLoopPosterior(reading(sets, columns=columns)).with_prior(few_goals)
 
 
 EXACT = made_up()

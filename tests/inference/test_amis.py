@@ -26,7 +26,7 @@ from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import PHASE, Scene, World
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 from phase_ppl.world.worlds import TRIO
 from tests.inference.runs import assert_same_draws, stops_at
 from tests.inference.tables import EXACT as READ
@@ -191,7 +191,7 @@ def test_nobody_is_drawn_to_help_or_hinder_who_cannot_act_on_it() -> None:
     )
     space, prior = space_of(world), MODEL.in_world(world).prior
     codes = np.indices((len(space.ways), space.n_goals, space.n_goals))
-    columns = dict(zip((space.company_site, *space.goal_sites), codes.reshape(3, -1), strict=True))
+    columns = dict(zip((ALPHA_SITE, *space.goal_sites), codes.reshape(3, -1), strict=True))
     possible = (space.effective(columns) >= 0).all(axis=1)
     own = ~space.impossible[0, columns["goal_red"]] & ~space.impossible[1, columns["goal_green"]]
     assert (own & ~possible).any()

@@ -38,7 +38,7 @@ from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, Hypothesis, scenario
 from phase_ppl.world.names import PredicateKind
 from phase_ppl.world.scene import Scene, World
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import ALPHA_SITE, space_of
 from phase_ppl.world.worlds import SOLO, TRIO
 from tests.inference.toy import (
     N_FRAMES,
@@ -56,7 +56,7 @@ CAST = World(
 
 SPACE = space_of(CAST)
 GOALS = ({0: 0.5, 3: 0.3, 4: 0.2}, {1: 0.6, 2: 0.4}, {5: 0.7, 0: 0.3})
-COMPANY = {0: 0.4, 3: 0.3, 9: 0.2, 20: 0.1}
+ALPHA = {0: 0.4, 3: 0.3, 9: 0.2, 20: 0.1}
 CHAINS = 45  # a step of many takes hardly longer than of few
 
 
@@ -64,7 +64,7 @@ def few(world: World) -> None:
     """A prior with mass on 48 combinations, unequal ones."""
     for name, masses in zip(space_of(world).goal_sites, GOALS, strict=True):
         _one_of(name, masses, len(world.goals))
-    _one_of("company", COMPANY, len(SPACE.ways))
+    _one_of("alpha", ALPHA, len(SPACE.ways))
     world_priors.strengths(world)
 
 
@@ -80,7 +80,7 @@ def test_sites_stand_for_the_roles_that_have_their_effective_goals(world: World)
         name: rng.choice(np.flatnonzero(~space.impossible[agent]), 50)
         for agent, name in enumerate(space.goal_sites)
     }
-    columns[space.company_site] = rng.integers(len(space.ways), size=50)
+    columns[ALPHA_SITE] = rng.integers(len(space.ways), size=50)
     columns |= {name: rng.uniform(150, 600, 50) for name in space.strength_sites}
     assert space.in_support(columns).all()
     for row, effective in enumerate(space.effective(columns).tolist()):
@@ -91,7 +91,7 @@ def test_sites_stand_for_the_roles_that_have_their_effective_goals(world: World)
 def test_of_what_cannot_be_nothing_is_simulated() -> None:
     space, own = space_of(TRIO), TRIO.goals.index("get to green agent")
     sites = {name: np.zeros(3, int) for name in space.goal_sites}
-    sites |= {"company": np.array([0, len(space.ways), 0]), "goal_green": np.array([0, 0, own])}
+    sites |= {"alpha": np.array([0, len(space.ways), 0]), "goal_green": np.array([0, 0, own])}
     sites |= {name: np.full(3, 300.0) for name in space.strength_sites}
     assert space.in_support(sites).tolist() == [True, False, False]
 
@@ -110,10 +110,10 @@ def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
     )
     space = space_of(world)
     even = [np.where(row, -np.inf, -np.log((~row).sum())) for row in space.impossible]
-    log_goals, log_company = np.array(even), np.full(len(space.ways), -np.log(len(space.ways)))
+    log_goals, log_alpha = np.array(even), np.full(len(space.ways), -np.log(len(space.ways)))
     rows = np.array(list(itertools.product(range(space.n_goals), repeat=3)))
-    found = np.exp(space.log_prior_of_effective(log_goals, log_company, rows)).sum()
-    assert found == pytest.approx(space.possible_share(log_goals, log_company))
+    found = np.exp(space.log_prior_of_effective(log_goals, log_alpha, rows)).sum()
+    assert found == pytest.approx(space.possible_share(log_goals, log_alpha))
     assert found < 0.999
 
 
@@ -128,7 +128,7 @@ def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
     kernel = LocalMH(EventProgram(few_in_cast(), bridge.handle, N_FRAMES), guide, SETTINGS)
     goals, strengths = np.tile(COMMON, (n, 1)), np.full((n, 3), 375.0)
     stated, log_drawn = drawn_stated(prior, goals, strengths)
-    names = (*SPACE.goal_sites, SPACE.company_site)
+    names = (*SPACE.goal_sites, ALPHA_SITE)
     given = dict(zip(names, stated.T.astype(np.int32), strict=True))
     asked = Compiled(jax.vmap(kernel.request_given))
     bridge.answer(asked(random.split(random.key(3), n), given, log_drawn, np.full(n, -np.inf)))
@@ -145,8 +145,8 @@ def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
         assert weights @ values == pytest.approx(expected, abs=4 * error)
 
 
-ROWS = np.array(list(itertools.product(*GOALS, COMPANY)))
-MASSES = np.prod(list(itertools.product(*[m.values() for m in (*GOALS, COMPANY)])), axis=1)
+ROWS = np.array(list(itertools.product(*GOALS, ALPHA)))
+MASSES = np.prod(list(itertools.product(*[m.values() for m in (*GOALS, ALPHA)])), axis=1)
 EFFECTIVE = SPACE.effective(dict(zip(SPACE.sites, ROWS.T, strict=False))).astype(np.int64)
 """(row, ...) all stated goals and ways with prior mass, their masses and effective goals."""
 
@@ -174,7 +174,7 @@ def exact() -> FloatArray:
 
 
 def visited(z: dict[str, Any]) -> FloatArray:
-    rows = np.stack([np.ravel(z[name]) for name in (*SPACE.goal_sites, "company")], axis=1)
+    rows = np.stack([np.ravel(z[name]) for name in (*SPACE.goal_sites, "alpha")], axis=1)
     return np.array([(rows == row).all(axis=1).mean() for row in ROWS])
 
 
@@ -318,13 +318,13 @@ def test_another_prior_weighs_what_was_simulated_anew() -> None:
 def biased(world: World) -> None:
     probs = jnp.ones(len(world.goals)).at[0].set(2.0)
     numpyro.sample("goal_red", dist.Categorical(probs=probs / probs.sum()))
-    world_priors.company(world)
+    world_priors.alpha(world)
     world_priors.strengths(world)
 
 
 def dependent(world: World) -> None:
     world_priors.goals(world)
-    world_priors.company(world)
+    world_priors.alpha(world)
     strength = numpyro.sample("strength_red", dist.Uniform(150, 600))
     numpyro.sample("strength_green", dist.Uniform(150, strength))
     numpyro.sample("strength_purple", dist.Uniform(150, 600))
@@ -335,7 +335,7 @@ def taken(world: World) -> None:
     numpyro.sample("alpha_red_green", dist.Normal())
 
 
-STEPWISE = ppl.StepwiseLikelihood()
+CLOSED_LOOP = ppl.ClosedLoopLikelihood()
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,7 @@ STEPWISE = ppl.StepwiseLikelihood()
          "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'"),
         ({"kernel": "local_mh", "settings": ppl.SimpleSettings(strength="network")},
          "strength='network' was learned in PHASE"),
-        ({"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
+        ({"kernel": "local_mh", "model": ppl.Model(likelihood=CLOSED_LOOP)},
          "of three agents and more, as in 'trio', only some combinations are followed"),
         ({"model": ppl.Model("relation_first")}, "relation_first"),
         ({"model": ppl.Model(dependent)}, "'strength_green' depend on strength_red"),
@@ -366,7 +366,7 @@ def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
 
 def of_one_strength(world: World) -> None:
     world_priors.goals(world)
-    world_priors.company(world)
+    world_priors.alpha(world)
     numpyro.sample("strength_red", ppl.sites.OneOf([LEVELS[2]]))
 
 

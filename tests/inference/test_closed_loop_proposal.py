@@ -11,11 +11,11 @@ import pytest
 from scipy.special import softmax
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_table import table_of
-from phase_ppl.inference.stepwise import filtered_frames
+from phase_ppl.analysis.closed_loop_table import table_of
+from phase_ppl.inference.closed_loop import filtered_frames
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables
+from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import SOCIAL
 from phase_ppl.world.scene import PHASE, World
@@ -60,7 +60,7 @@ def proposed_ways(world: World, stretch: int) -> Any:
 
 @pytest.mark.parametrize("world", [PHASE, PAIR])
 def test_it_proposes_goals_as_often_as_the_closed_loop_believes_in_them(world: World) -> None:
-    model, space = Model(likelihood=StepwiseLikelihood(planner_seeds=1)), space_of(world)
+    model, space = Model(likelihood=ClosedLoopLikelihood(planner_seeds=1)), space_of(world)
     post = ppl.infer(event_of(world), model, progress=False)
     # of the first window and of the whole, which begin with the first frame
     for stretch, frame in ((0, WINDOW), (-1, 5)):
@@ -77,7 +77,7 @@ def test_it_proposes_goals_as_often_as_the_closed_loop_believes_in_them(world: W
 
 
 def test_a_window_shows_its_own_frames_only() -> None:
-    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    model = Model(likelihood=ClosedLoopLikelihood(planner_seeds=1))
     found = filtered_frames(event_of(PHASE), model, progress=False)
     changed = found["density"].copy(deep=True)
     changed[1, 3] += 1000.0  # one frame decides everything
@@ -106,18 +106,18 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", interrupted)
+    monkeypatch.setattr("phase_ppl.inference.closed_loop.filtered_frames", interrupted)
     with pytest.raises(ppl.Interrupted) as stopped:
         ppl.infer(unread(4), **GUIDED, chains=2, workers=1, progress=False)
     assert stopped.value.posterior is None
 
 
 def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", never_called)
+    monkeypatch.setattr("phase_ppl.inference.closed_loop.filtered_frames", never_called)
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}):
         with pytest.raises(ppl.PhasePPLError, match=r"too small|papr"):
             ppl.infer(unread(5), **GUIDED, chains=2, workers=1, progress=False, **wrong)
-    table = ppl.Model(likelihood=ppl.StepwiseLikelihood())
+    table = ppl.Model(likelihood=ppl.ClosedLoopLikelihood())
     for wrong in ({"rull": 1},):
         with pytest.raises(ppl.PhasePPLError, match="rull"):
             ppl.infer(unread(5), table, kernel="prior_mh", progress=False, **wrong)

@@ -294,7 +294,7 @@ def test_what_is_no_event_or_simulates_nothing_is_refused() -> None:
     with pytest.raises(InvalidEventError, match="is no event"):
         ppl.program("collaborate")  # type: ignore[arg-type]
     for message, given in {
-        "simulates nothing": {"model": ppl.Model(likelihood=ppl.StepwiseLikelihood())},
+        "simulates nothing": {"model": ppl.Model(likelihood=ppl.ClosedLoopLikelihood())},
         "expected a phase_ppl.Model": {"model": 7},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):

@@ -19,7 +19,7 @@ from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation
 
 MODEL = ppl.Model(
-    likelihood=ppl.StepwiseLikelihood(planner_seeds=1),
+    likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1),
     planner=ppl.PlannerConfig(simulations=14, particles=6),
 )
 
@@ -138,7 +138,7 @@ TRIO = ppl.worlds.TRIO
 def in_trio(event: Event) -> None:
     world = event.scene.world
     ppl.roles.goals(world)
-    ppl.roles.company(world, social=share(event.scene, event.observation.trajectory))
+    ppl.roles.alpha(world, social=share(event.scene, event.observation.trajectory))
     ppl.roles.strengths(world)
 
 

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.inference.table_run import event_of
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.tables import EXACT, NAMES, skewed
@@ -64,7 +64,7 @@ def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:
     assert "rank" not in str(found), "a single kernel has none"
     other = EXACT.dataset.assign_attrs(settings='{"seed": 7, "model": {}}')
     with pytest.raises(InvalidSettingError, match="made with another read"):
-        ppl.compare(StepwisePosterior(other), ppl.Model(prior=skewed), **few)
+        ppl.compare(ClosedLoopPosterior(other), ppl.Model(prior=skewed), **few)
 
 
 def test_a_video_is_read_once_for_all_kernels_and_repeats(
@@ -76,8 +76,8 @@ def test_a_video_is_read_once_for_all_kernels_and_repeats(
         seen.append(seed)
         return EXACT.dataset
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", read)
-    model = ppl.Model(prior=few_goals, likelihood=ppl.StepwiseLikelihood(weight=0.5))
+    monkeypatch.setattr("phase_ppl.inference.closed_loop.filtered_frames", read)
+    model = ppl.Model(prior=few_goals, likelihood=ppl.ClosedLoopLikelihood(weight=0.5))
     options = {**COMPARED, "repeats": 2, "budget": ppl.simulations(600), "seed": 4}
     options["checkpoint"] = tmp_path / "runs.json"
     for _ in range(2):  # nothing is left to do the second time

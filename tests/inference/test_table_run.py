@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.inference import run, table_run
 from phase_ppl.inference.table_run import model_of
 from phase_ppl.models import priors
@@ -261,12 +261,12 @@ def test_so_are_an_executor_and_another_likelihood() -> None:
         pytest.raises(InvalidSettingError, match=r"executor=.*is for simulations"),
     ):
         sampled(executor=executor)
-    counted = {**ppl.StepwiseLikelihood().to_dict(), "weight": 0.2}  # as a reading keeps it
+    counted = {**ppl.ClosedLoopLikelihood().to_dict(), "weight": 0.2}  # as a reading keeps it
     settings = {**EXACT.settings, "likelihood": counted}
     known = EXACT.dataset.assign_attrs(settings=json.dumps(settings))
-    read = StepwisePosterior(known, prior=few_goals)
-    model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
+    read = ClosedLoopPosterior(known, prior=few_goals)
+    model_of(read, ppl.Model(likelihood=ppl.ClosedLoopLikelihood()))
     with pytest.raises(InvalidSettingError, match=r"likelihood=.*the prior only"):
-        model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=8)))
+        model_of(read, ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=8)))
     with pytest.raises(InvalidEventError, match=r"1 frame.*expected at least 2"):
         sampled(EXACT.at(0))

@@ -87,7 +87,7 @@ def test_what_it_does_is_said_in_words_and_in_literals_of_all_worlds() -> None:
 
 def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> None:
     event = simulate("toys together", frames=30)
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     post = ppl.infer(event, model)
     assert float(post.query("P(goal_red = toys together)")) > 0.5
     post.save(tmp_path / "post.nc")

@@ -300,7 +300,7 @@ def test_three_agents_are_summed_over_as_if_all_roles_were_listed() -> None:
         own = [possible_goals(a, THREE) if one is None else [0] for a, one in enumerate(way)]
         for stated in itertools.product(*own):
             goals = tuple(effective_goal(stated, a, one, THREE) for a, one in enumerate(way))
-            log_p = prior.company[number] + likelihood[range(3), goals].sum()
+            log_p = prior.alpha[number] + likelihood[range(3), goals].sum()
             log_p += sum(prior.goals[a, stated[a]] for a, one in enumerate(way) if one is None)
             if (goals[0], goals[2]) not in relations:
                 roles = Hypothesis.coded(THREE, goals, (None,) * 3, (450.0,) * 3)

@@ -15,7 +15,7 @@ from scipy.stats import binom
 import phase_ppl as ppl
 from phase_people.answers import evidence_of
 from phase_people.information import checked
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -117,7 +117,7 @@ def test_an_answer_that_cannot_be_says_nothing_where_nobody_gave_it() -> None:
         never.attributed({"e0": "a2"})
 
 
-Videos = tuple[list[ppl.Event], dict[str, StepwisePosterior]]
+Videos = tuple[list[ppl.Event], dict[str, ClosedLoopPosterior]]
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def videos() -> Videos:
         found = reading(columns={"log_likelihood": likelihood})
         event = dataclasses.replace(make_event(), id=f"video {i}", predictions=None, judgments=None)
         events.append(event)
-        read[event.id] = StepwisePosterior(found.assign_attrs(event_id=event.id))
+        read[event.id] = ClosedLoopPosterior(found.assign_attrs(event_id=event.id))
     return events, read
 
 
@@ -190,7 +190,7 @@ def test_a_function_or_people_can_be_told_from_a_prior(videos: Videos) -> None:
     def friendly(scene: Any, observation: Any, seed: int) -> dict[str, Any]:
         return {"relation": {"friendly": 0.8, "neutral": 0.1, "adversarial": 0.1}}
 
-    people = ppl.FittedObserver.named("people", "stepwise")
+    people = ppl.FittedObserver.named("people", "closed_loop")
     models = {"kind": friendly, "people": people, "ideal": "uniform"}
     found = ppl.design(events[:3], models, source=read, workers=1, progress=False)
     kind, of_people, _ = found.probabilities.values

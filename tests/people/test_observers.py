@@ -16,7 +16,7 @@ import phase_ppl as ppl
 from phase_people import observers
 from phase_people.answers import FLOOR, PAIRS, evidence_of
 from phase_people.observers import Evidence, Observer, Perception, observer_named
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS
@@ -63,7 +63,7 @@ def test_lapses_few_samples_and_a_flat_response_make_answers_alike() -> None:
     assert answers(lapsing, SURE, lapse=0.3)[0] == pytest.approx([0.8, 0.1, 0.1])
     assert answers(sampling, SURE, samples=3.0)[0] == pytest.approx([4 / 6, 1 / 6, 1 / 6])
     given = evidence([[0.0, -2.0, -4.0]])
-    flat = answers(Observer(observers.sharpness), given, sharpness=0.5)
+    flat = answers(Observer(observers.inverse_temperature), given, inverse_temperature=0.5)
     half = answers(Observer(observers.weight), given, weight=0.5)
     assert flat == pytest.approx(half, abs=1e-5)
 
@@ -106,14 +106,14 @@ def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
 
 
 def test_an_observer_knows_no_frame_that_its_evidence_does_not_count() -> None:
-    post, event = StepwisePosterior(reading()), make_event(id="a")
+    post, event = ClosedLoopPosterior(reading()), make_event(id="a")
     for frame in range(4):
         shares = answers(Observer(), evidence_of([event], {"a": post.at(frame)}))[0]
         assert shares == pytest.approx(post.at(frame).marginal("relation").values, abs=1e-4)
 
 
 def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them() -> None:
-    event, read = ppl.load_event("collaborate"), StepwisePosterior(reading())
+    event, read = ppl.load_event("collaborate"), ClosedLoopPosterior(reading())
     given = evidence_of([event], {event.id: read})
     logs = given.log_likelihood.reshape(3, N_GOALS, N_GOALS)
     frames = read.by_frame()["log_likelihood"].values  # weighed

@@ -130,7 +130,7 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     assert event.scene.resets_velocity
     assert event.observation.n_frames == 19
     assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1), planner=QUICK)
     draws: Any = {"kernel": "prior_mh", "planner": QUICK, "chains": 2, "iterations": 2}
     read, simulated = ppl.infer(event, model), ppl.infer(event, workers=1, progress=False, **draws)
     for post in (read, simulated):  # by the rule of the session

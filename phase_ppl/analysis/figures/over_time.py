@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.figures.posterior import RELATION_COLOUR, bars, line_colour, titles
 from phase_ppl.analysis.figures.style import (
     COLOURS,
@@ -28,7 +29,6 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.render.frames import PANEL, Painter, between_frames, panel, side_by_side
 from phase_ppl.render.video import FRAMES_PER_STEP, Film, film
 from phase_ppl.world.hypothesis import RELATIONS
@@ -53,9 +53,9 @@ _STILLS: Final = 5
 _APART: Final = 4  # frames between two stills, at least
 
 
-@figure_of(Posterior, StepwisePosterior)
+@figure_of(Posterior, ClosedLoopPosterior)
 def over_time(
-    post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
+    post: Posterior | ClosedLoopPosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
     """Draw how the probabilities of goals and relation change along the video.
 
@@ -117,9 +117,9 @@ def _panel(
     direct_labels(axes, ends, gap=_LINE_HEIGHT)
 
 
-@figure_of(Posterior, StepwisePosterior)
+@figure_of(Posterior, ClosedLoopPosterior)
 def why(
-    post: Posterior | StepwisePosterior,
+    post: Posterior | ClosedLoopPosterior,
     event: str,
     over: str | None = None,
     path: str | os.PathLike[str] | None = None,
@@ -176,8 +176,8 @@ _ROW: Final = 19
 """Pixels of an inch of a figure, and of a bar, in the film."""
 
 
-@figure_of(StepwisePosterior)
-def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
+@figure_of(ClosedLoopPosterior)
+def watch_film(post: ClosedLoopPosterior, path: str | os.PathLike[str]) -> Film:
     """Write the video with the closed loop's posterior at each frame beside it, as MP4.
 
     The film shows the relations and each agent's goals with the highest probabilities at any time,

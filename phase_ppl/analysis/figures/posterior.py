@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.analysis import quantities
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.analysis.figures.style import (
     GREY,
     INK,
@@ -20,7 +21,6 @@ from phase_ppl.analysis.figures.style import (
 )
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -47,9 +47,9 @@ _ROOM_FOR_NAMES: Final = 1.3
 _ERRORS: Final = {"ecolor": INK, "lw": 0.8, "alpha": 0.7}
 
 
-@figure_of(Posterior, StepwisePosterior)
+@figure_of(Posterior, ClosedLoopPosterior)
 def posterior(
-    post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
+    post: Posterior | ClosedLoopPosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
     """Draw goals, relation, scenario, tracks and strengths on one page.
 
@@ -120,7 +120,7 @@ def _relation_bars(axes: Axes, post: Hypotheses) -> None:
     axes.set(title=title, xlabel="posterior probability")
 
 
-def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
+def _tracks(axes: Axes, post: Posterior | ClosedLoopPosterior) -> None:
     """Draw the arena with observed tracks (solid) and predicted ones (dashed)."""
     from matplotlib.lines import Line2D
 

@@ -73,7 +73,7 @@ def marginals(
     """
     ways = range(len(space_of(world).ways))
     found = [_given_way(way, log_likelihood, prior.goals, world) for way in ways]
-    log_mass = prior.company + np.array([log_evidence for log_evidence, _ in found])
+    log_mass = prior.alpha + np.array([log_evidence for log_evidence, _ in found])
     mass = np.exp(log_mass - log_mass.max())
     mass /= mass.sum()
     return {

@@ -125,13 +125,13 @@ def simple(
 # --- the closed-loop model: every frame explained from what was observed before it ----------------
 
 
-@register_model("stepwise", any_world=True)
-def stepwise(
+@register_model("closed_loop", any_world=True)
+def closed_loop(
     *,
     prior: Any = "uniform",
     planner: Any = None,
     program: Model | None = None,
-    sharpness: float | None = None,
+    inverse_temperature: float | None = None,
     lapse: float | None = None,
     weight: float | None = None,
     planner_seeds: int | None = None,
@@ -143,21 +143,26 @@ def stepwise(
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
         program: a model instead of all that.
-        sharpness, lapse, weight, planner_seeds: of the
-            :class:`phase_ppl.StepwiseLikelihood`.
+        inverse_temperature, lapse, weight, planner_seeds: of the
+            :class:`phase_ppl.ClosedLoopLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
     """
     from phase_ppl.closed_loop.hidden_state import Tracking
+    from phase_ppl.models.closed_loop import ClosedLoopLikelihood
     from phase_ppl.models.model import Model
-    from phase_ppl.models.stepwise import StepwiseLikelihood
 
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
-    given = _given(sharpness=sharpness, lapse=lapse, weight=weight, planner_seeds=planner_seeds)
-    likelihood = StepwiseLikelihood(tracking=tracking, **given)
+    given = _given(
+        inverse_temperature=inverse_temperature,
+        lapse=lapse,
+        weight=weight,
+        planner_seeds=planner_seeds,
+    )
+    likelihood = ClosedLoopLikelihood(tracking=tracking, **given)
     made = Model(prior=prior, planner=planner, likelihood=likelihood)
     if program is None:
         return Simple(made)
-    if made != Model(prior="uniform", likelihood=StepwiseLikelihood()):
+    if made != Model(prior="uniform", likelihood=ClosedLoopLikelihood()):
         raise InvalidSettingError("give either a program, or its prior, planner and likelihood")
     return Simple(program.for_reading())
 

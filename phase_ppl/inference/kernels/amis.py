@@ -47,7 +47,7 @@ from phase_ppl.models.world_priors import masses_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace
 
 GROWTH: Final = 1.1
 """Growth of the number of draws, as a factor, after which the proposal is fitted again."""
@@ -95,7 +95,7 @@ def guide_of(
 
     def fitted(_: Any) -> None:
         given: dict[str, jax.Array] = {}
-        names = (space.company_site, *space.goal_sites)
+        names = (ALPHA_SITE, *space.goal_sites)
         for name, logits in zip(names, proposal.goals, strict=True):
             law = dist.Categorical(logits=jnp.asarray(logits)[tuple(given.values())])
             given[name] = numpyro.sample(name, law)
@@ -311,7 +311,7 @@ class _Simulated(NamedTuple):
     def of(
         cls, records: Sequence[Record], made_by: int, observed: FloatArray, space: HypothesisSpace
     ) -> _Simulated:
-        names = (space.company_site, *space.goal_sites, *space.strength_sites)
+        names = (ALPHA_SITE, *space.goal_sites, *space.strength_sites)
         sites = {name: np.array([record.sites[name] for record in records]) for name in names}
         # in a checkpoint's precision, so that a resumed run learns the same
         found = [record.result.trajectory[..., :2].astype(np.float32) for record in records]
@@ -363,8 +363,8 @@ def _log_prior_of_stated(prior: Program) -> FloatArray:
     """
     if isinstance(prior, WorldPrior):
         found = masses_of(prior)
-        goals = np.broadcast_to(found.goals, (len(found.company), *found.goals.shape))
-        table = _summed(goals) + found.company.reshape(-1, *[1] * len(found.goals))
+        goals = np.broadcast_to(found.goals, (len(found.alpha), *found.goals.shape))
+        table = _summed(goals) + found.alpha.reshape(-1, *[1] * len(found.goals))
     else:
         table = prior_table(prior, (sum(STRENGTH_RANGE) / 2,))[..., 0, 0]
         table = np.moveaxis(table, -1, 0)
@@ -375,7 +375,7 @@ def _log_prior_of_stated(prior: Program) -> FloatArray:
 def _acted_on(space: HypothesisSpace) -> NDArray[np.int64]:
     """Return (agent, way, goal, ..., goal) effective goals of ways and stated goals; -1: none."""
     shape = (len(space.ways), *[space.n_goals] * space.n_agents)
-    names = (space.company_site, *space.goal_sites)
+    names = (ALPHA_SITE, *space.goal_sites)
     columns = dict(zip(names, np.indices(shape).reshape(len(shape), -1), strict=True))
     return space.effective(columns).T.reshape(space.n_agents, *shape).astype(np.int64)
 

@@ -83,7 +83,7 @@ def test_the_command_takes_a_prior_and_a_family_of_a_file(
         "import phase_ppl as ppl\n"
         "def strong(world):\n"
         "    ppl.roles.goals(world)\n"
-        "    ppl.roles.company(world)\n"
+        "    ppl.roles.alpha(world)\n"
         "    numpyro.sample('strength_red', numpyro.distributions.Uniform(590, 600))\n"
         "places = {'home': (8, 8), 'far': (24, 18)}\n"
         "mine = ppl.World(['red agent', 'green agent'], ['ball'], places, name='mine')\n"

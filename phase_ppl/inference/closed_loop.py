@@ -14,13 +14,13 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_table import SCHEMA, Table, dimensions, labels, table_of
+from phase_ppl.analysis.closed_loop_table import SCHEMA, Table, dimensions, labels, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
+from phase_ppl.models.closed_loop import ClosedLoopLikelihood, closed_loop_prior
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.prior_masses import PriorMasses
-from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on, has_density
 from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import (
@@ -39,7 +39,7 @@ from phase_ppl.world.space import space_of
 from phase_ppl.world.tracks import Clock
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
     from phase_ppl.closed_loop.users_simulator import SimulatorFilter
 
 _COUNTED: Final = ("searches", "calls")  # what it cost
@@ -55,7 +55,7 @@ class Watch:
     Args:
         scene: the scene of the event.
         model: prior, and planner or simulator; its likelihood is None or a
-            :class:`phase_ppl.StepwiseLikelihood`. Default: the paper's prior and simulator.
+            :class:`phase_ppl.ClosedLoopLikelihood`. Default: the paper's prior and simulator.
         seed: a whole number >= 0, the seed of the agents' beliefs and searches, or of the samples
             of a simulator of your own.
         threads: number of searches at a time; by default one per usable core. With a simulator of
@@ -95,7 +95,7 @@ class Watch:
         instance_of("model", model, Model, "a phase_ppl.Model")
         self.model = model.for_reading()
         likelihood = self.model.likelihood
-        assert isinstance(likelihood, StepwiseLikelihood), "it is for reading"
+        assert isinstance(likelihood, ClosedLoopLikelihood), "it is for reading"
         self._likelihood = likelihood
         simulator = self.model.simulator
         if simulator is not None and not goes_on(simulator):
@@ -118,7 +118,7 @@ class Watch:
         self._weight = likelihood.frame_weight(self._users_simulator)
         self._levels = likelihood.tracking.strengths
         prior = for_table(self.model.prior, scene, observation)
-        kept, attrs = stepwise_prior(prior, scene.world, self._levels)
+        kept, attrs = closed_loop_prior(prior, scene.world, self._levels)
         self._constant: dict[str, Any] = dict(kept)  # what does not change from frame to frame
         self._attrs: dict[str, Any] = dict(attrs)
         self._filter = self._simulator_filter() if self._users_simulator else self._goal_filter()
@@ -225,29 +225,29 @@ class Watch:
             elif value is not None:
                 self._columns[name].add(value)
 
-    def update(self, frame: ArrayLike, at: float | None = None) -> StepwisePosterior:
+    def update(self, frame: ArrayLike, at: float | None = None) -> ClosedLoopPosterior:
         """Take in the next frame (see :meth:`take`); return the posterior of the frames so far."""
         self.take(frame, at)
         return self.posterior()
 
-    def posterior(self) -> StepwisePosterior:
+    def posterior(self) -> ClosedLoopPosterior:
         """Return the posterior given the frames so far; after the first one it is the prior.
 
         Raises:
             InvalidSettingError: there was no frame yet.
         """
-        from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+        from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 
         found = self.dataset()
         last = self._table
         self._table = table_of(found) if last is None else last.extended(found)
-        return StepwisePosterior(found, prior=self.model.prior, table=self._table)
+        return ClosedLoopPosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
         """Return the table of likelihoods of the frames so far, as a Dataset.
 
-        Its variables are listed in :mod:`phase_ppl.analysis.stepwise_table` (InvalidSettingError:
-        there was no frame yet).
+        Its variables are listed in :mod:`phase_ppl.analysis.closed_loop_table`.
+        InvalidSettingError: there was no frame yet.
         """
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
@@ -295,14 +295,14 @@ watch = Watch
 # --- the whole video ------------------------------------------------------------------------------
 
 
-class StepwiseInterrupted(KeyboardInterrupt):
+class ClosedLoopInterrupted(KeyboardInterrupt):
     """Ctrl-C while the closed loop reads a video: a ``KeyboardInterrupt``.
 
     Attributes:
         posterior: posterior given the frames that were read until then.
     """
 
-    def __init__(self, posterior: StepwisePosterior) -> None:
+    def __init__(self, posterior: ClosedLoopPosterior) -> None:
         n = len(posterior.observed())
         super().__init__(f"interrupted after {n} frames; see .posterior")
         self.posterior = posterior
@@ -315,7 +315,7 @@ def filtered_frames(
     threads: int | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.stepwise_table`).
+    """Return what the frames of a whole video say (:mod:`phase_ppl.analysis.closed_loop_table`).
 
     Args:
         event: what to explain; only scene, observation and id are read.
@@ -333,5 +333,5 @@ def filtered_frames(
             for frame in counted(frames[1:], progress, "frame", "reading"):
                 watching.take(frame)
         except KeyboardInterrupt as stop:
-            raise StepwiseInterrupted(watching.posterior()) from stop
+            raise ClosedLoopInterrupted(watching.posterior()) from stop
         return watching.dataset()

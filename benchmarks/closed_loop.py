@@ -1,11 +1,11 @@
 """The closed loop: what does it recover, how was it fitted, and what does it cost?
 
-    python benchmarks/stepwise.py COMMAND [--json FILE]
+    python benchmarks/closed_loop.py COMMAND [--json FILE]
 
 * ``replays``: actions, holds and strengths, beside those recovered from the real videos.
-* ``fit [--half first|second|all] [--keep DIR]``: sets of searches, sharpness, lapse and weight,
-  compared by log likelihood per frame under the truth, and by accuracy and log score after half of
-  the video and after all of it.
+* ``fit [--half first|second|all] [--keep DIR]``: sets of searches, policy and weight, by log
+  likelihood per frame under the truth, and by accuracy and log score after half of the video and
+  after all of it.
 * ``calibration [--events N] [--keep DIR]``: confidence beside accuracy on the model's own videos,
   and quantiles of surprise.
 * ``beam [--half first|second|all]``: how often the filter nearly rules out the true strengths, by
@@ -36,12 +36,12 @@ from videos import own, reading
 import phase_ppl as ppl
 from phase_ppl.closed_loop.goal_filter import ActionPolicy
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.models.stepwise import StepwiseLikelihood
+from phase_ppl.models.closed_loop import ClosedLoopLikelihood
 from phase_ppl.world.event import Event, Observation
 
 KINDS = ("goal", "relation")
-SHARPNESS, LAPSE = (4.0, 6.0), (0.1, 0.2, 0.3)
-WEIGHT = sorted({StepwiseLikelihood().frame_weight(), 0.3, 0.5, 1.0})
+INVERSE_TEMPERATURE, LAPSE = (4.0, 6.0), (0.1, 0.2, 0.3)
+WEIGHT = sorted({ClosedLoopLikelihood().frame_weight(), 0.3, 0.5, 1.0})
 SEEDS = (1, 2, 4)
 JITTERS, STRENGTH_WEIGHTS = (0.0, 0.05), (1.0, 0.3, 0.1, 0.05, 0.03)
 OWN_FRAMES = 31
@@ -69,7 +69,7 @@ def replays(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def kept_readings(
-    events: list[Event], likelihood: StepwiseLikelihood, folder: str | None
+    events: list[Event], likelihood: ClosedLoopLikelihood, folder: str | None
 ) -> list[reading.Kept]:
     """Return what reading the events finds, all sets of searches apart; one file an event."""
     tasks = [(event, likelihood, None if folder is None else Path(folder)) for event in events]
@@ -79,7 +79,7 @@ def kept_readings(
     return [found[event.id] for event in events]
 
 
-def _kept_reading(task: tuple[Event, StepwiseLikelihood, Path | None]) -> reading.Kept:
+def _kept_reading(task: tuple[Event, ClosedLoopLikelihood, Path | None]) -> reading.Kept:
     event, likelihood, folder = task
     file = None if folder is None else folder / f"{event.id}.pkl"
     if file is not None and file.exists():
@@ -98,12 +98,12 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
     """Print scores on a grid of settings; each video is read once."""
     events = common.dev_events(options.half, options.limit)
     # a lower weight has more pairs of goals searched by all sets than those that are compared
-    kept = kept_readings(events, StepwiseLikelihood(weight=min(WEIGHT)), options.keep)
+    kept = kept_readings(events, ClosedLoopLikelihood(weight=min(WEIGHT)), options.keep)
     found: dict[str, Any] = {}
     names = ("sets", *ActionPolicy._fields, "weight", "nats")
     print("".join(f"{name:>10}" for name in names), f"  end: {reading.HEAD}; half: {reading.HEAD}")
-    for seeds, sharpness, lapse in itertools.product(SEEDS, SHARPNESS, LAPSE):
-        policy = ActionPolicy(sharpness, lapse)
+    for seeds, inverse_temperature, lapse in itertools.product(SEEDS, INVERSE_TEMPERATURE, LAPSE):
+        policy = ActionPolicy(inverse_temperature, lapse)
         tables = [one.log_likelihood(policy, 1.0, seeds).cumsum(axis=0) for one in kept]
         per_frame = sum(
             float(table[-1][one.truth]) for one, table in zip(kept, tables, strict=True)
@@ -131,8 +131,8 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
 
 def calibration(options: argparse.Namespace) -> dict[str, Any]:
     """Print whether confidence is accuracy where the model is true."""
-    own_tracking = dataclasses.replace(StepwiseLikelihood().tracking, noise=0.0)
-    likelihood = dataclasses.replace(StepwiseLikelihood(), tracking=own_tracking)
+    own_tracking = dataclasses.replace(ClosedLoopLikelihood().tracking, noise=0.0)
+    likelihood = dataclasses.replace(ClosedLoopLikelihood(), tracking=own_tracking)
     numbers = range(options.events)
     drawn = [own.own_event(number, likelihood, OWN_FRAMES) for number in numbers]
     kept = kept_readings(drawn, likelihood, options.keep)
@@ -220,7 +220,7 @@ def accuracy(options: argparse.Namespace) -> dict[str, Any]:
     started = time.monotonic()
     found = ppl.evaluate(
         events,
-        "stepwise",
+        "closed_loop",
         planner=options.planner,
         out=options.keep,
         resume=options.keep is not None,
@@ -252,7 +252,7 @@ def seeds(options: argparse.Namespace) -> dict[str, Any]:
         rows.setdefault(event.id, []).append(row)
     found = {
         name: float(np.median([np.std([r[name] for r in of], ddof=1) for of in rows.values()]))
-        for name in ("stepwise", "stepwise_weighted", "simple")
+        for name in ("closed_loop", "closed_loop_weighted", "simple")
     }
     print(f"median over {len(rows)} videos of the standard deviation over seeds, nats:")
     for name, value in found.items():
@@ -263,14 +263,14 @@ def seeds(options: argparse.Namespace) -> dict[str, Any]:
 def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     """Return the log likelihoods of the true hypothesis with one seed."""
     event, seed = task
-    hypothesis, likelihood = common.true_hypothesis(event), StepwiseLikelihood()
+    hypothesis, likelihood = common.true_hypothesis(event), ClosedLoopLikelihood()
     with ppl.watch(event.scene, ppl.Model(likelihood=likelihood), seed=seed, threads=1) as watch:
         for frame in event.observation.trajectory:
             watch.take(frame)
         frames = watch.posterior().by_frame()
     assert frames is not None
     found = frames["log_likelihood"].values.sum(axis=0) / likelihood.frame_weight()
-    stepwise = float(found[hypothesis.effective_goals])
+    closed_loop = float(found[hypothesis.effective_goals])
     simulated = ppl.simulate(
         event.scene, hypothesis, seed=seed, frames=event.observation.n_frames, overlapping=True
     )
@@ -281,8 +281,8 @@ def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     )
     simple = ppl.RadialLikelihood().log_prob(errors).sum()
     return {
-        "stepwise": stepwise,
-        "stepwise_weighted": likelihood.frame_weight() * stepwise,
+        "closed_loop": closed_loop,
+        "closed_loop_weighted": likelihood.frame_weight() * closed_loop,
         "simple": float(simple),
     }
 
@@ -297,8 +297,8 @@ def curve(options: argparse.Namespace) -> dict[str, Any]:
     }
     for n in (25, 100, 300):
         planner = dataclasses.replace(ppl.PlannerConfig.fast(), simulations=n)
-        runs[f"stepwise, {n} a search"] = "stepwise", {"planner": planner}
-    runs["stepwise, paper's planner"] = "stepwise", {"planner": "paper"}
+        runs[f"closed_loop, {n} a search"] = "closed_loop", {"planner": planner}
+    runs["closed_loop, paper's planner"] = "closed_loop", {"planner": "paper"}
     found: dict[str, Any] = {}
     print(f"{'':<26}{'CPU s / s':>10}{'goals':>8}{'relation':>10}{'log score':>11}")
     for name, (model, settings) in runs.items():

@@ -18,8 +18,8 @@ import pytest
 from matplotlib import rc_context
 
 import phase_ppl as ppl
-from phase_ppl.analysis import stepwise_table
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis import closed_loop_table
+from phase_ppl.analysis.closed_loop_posterior import ClosedLoopPosterior
 from phase_ppl.models import prior_masses
 from phase_ppl.models.world_priors import bound, masses
 from phase_ppl.render.frames import PANEL
@@ -43,13 +43,13 @@ FOUND, BY_PAIRS = reading(), by_pairs()
 
 
 @pytest.fixture(scope="module")
-def post() -> StepwisePosterior:
-    return StepwisePosterior(FOUND)
+def post() -> ClosedLoopPosterior:
+    return ClosedLoopPosterior(FOUND)
 
 
 @pytest.fixture(scope="module")
-def single() -> StepwisePosterior:
-    return StepwisePosterior(reading(planner_seeds=1))
+def single() -> ClosedLoopPosterior:
+    return ClosedLoopPosterior(reading(planner_seeds=1))
 
 
 @functools.cache
@@ -68,7 +68,7 @@ def mass_of_each(frame: int, weight: float = 0.5) -> FloatArray:
 
 @pytest.mark.parametrize("frame", [0, 3])
 def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
-    post, mass = StepwisePosterior(FOUND, frame), mass_of_each(frame)
+    post, mass = ClosedLoopPosterior(FOUND, frame), mass_of_each(frame)
     mass /= mass.sum()
     joint = np.zeros((N_GOALS, N_GOALS))
     np.add.at(joint, tuple(pairs()), mass.sum(axis=(3, 4)))
@@ -95,20 +95,20 @@ def test_strengths_that_may_depend_on_goals_are_not_drawn(monkeypatch: pytest.Mo
     log_prior[:, :, 1:, 0] -= 5.0  # who helps or hinders is strong
     dependent = reading(columns={"log_prior": log_prior})
     questions = ("P(strength_red > 500)", "P(strength_red > 500 | alpha=(1, 0))")
-    found = [StepwisePosterior(dependent).query(question) for question in questions]
+    found = [ClosedLoopPosterior(dependent).query(question) for question in questions]
     assert found[1] > found[0] + 0.05
-    monkeypatch.setattr(stepwise_table, "MOST_ROWS", 1000)
-    post = StepwisePosterior(dependent)
+    monkeypatch.setattr(closed_loop_table, "MOST_ROWS", 1000)
+    post = ClosedLoopPosterior(dependent)
     assert [post.query(question) for question in questions] == pytest.approx(found)
     odds = post.why("strength_red > 500")["log_odds"].values[-1]
     assert odds == pytest.approx(np.log(found[0] / (1 - found[0])))
 
 
 def test_errors_are_the_jackknife_over_sets_of_searches(
-    post: StepwisePosterior, single: StepwisePosterior
+    post: ClosedLoopPosterior, single: ClosedLoopPosterior
 ) -> None:
     each = [
-        StepwisePosterior(reading(1, columns={"log_likelihood": one}))
+        ClosedLoopPosterior(reading(1, columns={"log_likelihood": one}))
         for one in BY_PAIRS["log_likelihood_without"].astype(float)
     ]
 
@@ -140,12 +140,12 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
 
 
 def test_no_more_searches_are_advised_where_they_cannot_decide() -> None:
-    alike = StepwisePosterior(reading(weight=1e-6)).diagnostics()
+    alike = ClosedLoopPosterior(reading(weight=1e-6)).diagnostics()
     assert "Smaller errors would not decide it" in alike["verdict"]
     assert "over_time" in alike["next"]
 
 
-def test_over_time_and_why_follow_the_posterior_at_each_frame(post: StepwisePosterior) -> None:
+def test_over_time_and_why_follow_the_posterior_at_each_frame(post: ClosedLoopPosterior) -> None:
     found, names = post.over_time(), ("to red lm", "away from red lm")
     why = post.why(*(f"goal_red=Get blue item {name}" for name in names))
     alone = post.why("relation=friendly")["log_odds"].values
@@ -165,7 +165,7 @@ def test_over_time_and_why_follow_the_posterior_at_each_frame(post: StepwisePost
     assert len(post.at(1).over_time()["time"]) == 2
 
 
-def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterior) -> None:
+def test_the_best_hypothesis_leads_and_the_evidence_grows(post: ClosedLoopPosterior) -> None:
     assert post.map().effective_goals == (BLUE_TO_RED, BLUE_TO_RED)
     assert post.map_record()["goal_red"] == GOALS[BLUE_TO_RED]
     start, evidence = post.at(0).log_evidence, post.log_evidence
@@ -177,13 +177,13 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     expected = (before.sum(axis=(3, 4)) * np.exp(of_frame)).sum() / before.sum()
     surprise = BY_PAIRS["log_peak"][3] - np.log(expected)
     assert post.surprise()[3] == pytest.approx(surprise)
-    tempered = StepwisePosterior(reading(weight=0.1))
+    tempered = ClosedLoopPosterior(reading(weight=0.1))
     assert tempered.log_evidence == pytest.approx(evidence)
     assert "tempered: a frame counts 0.1 for goals" in str(tempered)
     found = reading(weight=1.0)
-    assert "tempered" not in str(StepwisePosterior(found))
+    assert "tempered" not in str(ClosedLoopPosterior(found))
     found.attrs["settings"] = json.dumps({"likelihood": {"tracking": {"strength_weight": 0.05}}})
-    of_strengths = StepwisePosterior(found)
+    of_strengths = ClosedLoopPosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
     assert tempering in str(of_strengths)
     counted = "nats; here a frame counts in full, for strengths 0.05"
@@ -192,7 +192,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
         assert told.attrs["tempering"] == tempering
 
 
-def test_what_cannot_be_asked_is_refused(post: StepwisePosterior) -> None:
+def test_what_cannot_be_asked_is_refused(post: ClosedLoopPosterior) -> None:
     def frame(number: Any) -> Callable[[], object]:
         return lambda: post.at(number)
 
@@ -216,7 +216,7 @@ def test_what_cannot_be_asked_is_refused(post: StepwisePosterior) -> None:
 
 
 def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> None:
-    post = StepwisePosterior(FOUND)
+    post = ClosedLoopPosterior(FOUND)
     post.define("red_leads", "strength_red > strength_green")
     post.define("same", lambda h: h.goal_red == h.goal_green)
     last, before = post.query("P(red_leads=True)"), post.at(0).query("P(red_leads=True)")
@@ -250,9 +250,9 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
         ppl.load_posterior(file, "count")
 
 
-def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
+def test_the_verdict_leads_with_the_worst_sign(post: ClosedLoopPosterior) -> None:
     def diagnosed(**columns: Any) -> dict[str, Any]:
-        return StepwisePosterior(reading(columns=columns)).diagnostics()
+        return ClosedLoopPosterior(reading(columns=columns)).diagnostics()
 
     fine = post.diagnostics()
     assert fine["unexplained_frames"] == fine["overlapping_frames"] == []
@@ -281,12 +281,12 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     assert text.index("answer  ") < text.index("checks  ") < text.index("relation  ")
     assert fine["trust"] != "do not trust"
     assert {found["trust"] for found in (lying, torn, odd)} == {"do not trust"}
-    one = StepwisePosterior(FOUND.isel(time=slice(0, 1)))
+    one = ClosedLoopPosterior(FOUND.isel(time=slice(0, 1)))
     assert one.surprise().tolist() == [0.0]
     assert "Nothing was seen but the start" in one.diagnostics()["verdict"]
 
 
-def test_figures_and_film(tmp_path: Path, post: StepwisePosterior) -> None:
+def test_figures_and_film(tmp_path: Path, post: ClosedLoopPosterior) -> None:
     figure = ppl.plot.why(post, "relation=friendly", "relation=adversarial", tmp_path / "why.png")
     assert len(figure.axes) >= 3
     ppl.plot.over_time(post, tmp_path / "over_time.png")
@@ -319,7 +319,7 @@ def test_it_answers_in_the_names_of_its_world() -> None:
     assert found[0].max() < 0.07  # nothing was seen yet
     assert post.at(0).log_evidence == pytest.approx(0, abs=1e-9)  # what cannot be has no mass
 
-    asked = StepwisePosterior(post.dataset).define("weak", "strength_red < 300")
+    asked = ClosedLoopPosterior(post.dataset).define("weak", "strength_red < 300")
     asked.define("at_odds", "relation_red_purple = adversarial")
     odds = asked.why("at_odds=True")["log_odds"].values[-1]
     share = asked.query("P(relation_red_purple=adversarial)")
@@ -331,7 +331,7 @@ def test_it_answers_in_the_names_of_its_world() -> None:
 
 def strong_and_weak(world: ppl.World) -> None:
     ppl.roles.goals(world)
-    ppl.roles.company(world)
+    ppl.roles.alpha(world)
     for key, low in zip(world.keys, (550.0, 150.0, 150.0), strict=True):
         numpyro.sample(f"strength_{key}", dist.Uniform(low, low + 50))
 
@@ -353,8 +353,8 @@ def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch
     n_hypotheses = table.prior.n_hypotheses
     assert n_hypotheses == sum(map(math.prod, owners))
     monkeypatch.setattr(prior_masses, "MOST_HYPOTHESES", n_hypotheses // 2)
-    monkeypatch.setattr(stepwise_table, "MOST_ROWS", n_hypotheses)  # strengths are drawn too
-    drawn = StepwisePosterior(post.dataset)
+    monkeypatch.setattr(closed_loop_table, "MOST_ROWS", n_hypotheses)  # strengths are drawn too
+    drawn = ClosedLoopPosterior(post.dataset)
     assert drawn._table.sampled
     assert "were drawn" in str(drawn)
     for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
@@ -389,7 +389,7 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
         (reading(world="{"), "its world"),
     ):
         with pytest.raises(InvalidEventError, match=said):
-            StepwisePosterior(damaged)
+            ClosedLoopPosterior(damaged)
 
 
 PLACE = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}
@@ -404,7 +404,7 @@ PLACE = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 2
 )
 def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str]]) -> None:
     world = ppl.World(agents=agents, name="small", **{**PLACE, "items": [], **more})
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
+    model = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1), planner=QUICK)
     scene, roles = world.random_scene(2), ppl.roles.draw(world, 3)
     event = ppl.simulate(scene, roles, frames=3, planner=QUICK, seed=1)
     post = ppl.infer(event, model, workers=1, progress=False)
@@ -435,13 +435,13 @@ def test_helpers_take_their_part_of_what_is_wanted() -> None:
 def wide_goal(world: ppl.World) -> None:
     for key in world.keys:
         numpyro.sample(f"goal_{key}", dist.Categorical(probs=np.full(100, 0.01)))
-    ppl.roles.company(world)
+    ppl.roles.alpha(world)
     ppl.roles.strengths(world)
 
 
 def dependent(world: ppl.World) -> None:
     ppl.roles.goals(world)
-    ways = numpyro.sample("company", dist.Categorical(probs=np.ones(25) / 25))
+    ways = numpyro.sample("alpha", dist.Categorical(probs=np.ones(25) / 25))
     ppl.roles.strengths(world)
     numpyro.sample("goal_more", dist.Normal(ways, 1.0))
 
@@ -449,19 +449,19 @@ def dependent(world: ppl.World) -> None:
 def leaning(world: ppl.World) -> None:
     strong = numpyro.sample("strong", dist.Bernoulli(0.5))
     ppl.roles.goals(world)
-    ppl.roles.company(world)
+    ppl.roles.alpha(world)
     for key in world.keys:
         numpyro.sample(f"strength_{key}", dist.Uniform(150.0 + 100 * strong, 600.0))
 
 
-def test_an_agent_that_cannot_leave_its_room_is_said(post: StepwisePosterior) -> None:
+def test_an_agent_that_cannot_leave_its_room_is_said(post: ClosedLoopPosterior) -> None:
     assert post.diagnostics()["sealed_agents"] == []
     scene = ppl.load_event("collaborate").scene
     centre = scene.centre
     walls = np.array([[centre, [16.0, 22.0]], [centre, [26.0, 12.0]], [centre, [11.0, 12.0]]])
     found = reading(columns={"trajectory": np.repeat(scene.start[None], 4, axis=0)})
     found = found.drop_vars("walls").assign(walls=(("wall", "end", "axis"), walls))
-    sealed = StepwisePosterior(found.assign(start=(("entity", "coord"), scene.start)))
+    sealed = ClosedLoopPosterior(found.assign(start=(("entity", "coord"), scene.start)))
     told = sealed.diagnostics()
     assert told["sealed_agents"] == ["red agent"]
     assert "The red agent starts in a room that walls close" in told["verdict"]
@@ -473,11 +473,11 @@ def test_priors_that_cannot_be_are_refused_in_one_line() -> None:
     for prior, message in (
         (ppl.priors.relation_first, "is of PHASE only, not of 'three': expected uniform, sparse_s"),
         (wide_goal, f"gives mass to goal_red={last + 1}: expected 0..{last}"),
-        (lambda world: ppl.roles.goals(world), "does not sample 'company'; in 'three' it takes"),
+        (lambda world: ppl.roles.goals(world), "does not sample 'alpha'; in 'three' it takes"),
         (lambda world: world.nothing, "cannot be run: AttributeError"),
         (leaning, "makes 'strength_red' depend on strong"),
     ):
         with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
             masses(bound(prior, CAST))
         assert "\n" not in str(raised.value)
-    assert masses(bound(dependent, CAST)).company.shape == (25,)
+    assert masses(bound(dependent, CAST)).alpha.shape == (25,)

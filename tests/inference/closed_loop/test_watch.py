@@ -18,7 +18,7 @@ from phase_ppl.world.event import Event, Observation
 from tests.inference.toy import few_goals
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
-MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2), planner=QUICK)
+MODEL = ppl.Model(likelihood=ppl.ClosedLoopLikelihood(planner_seeds=2), planner=QUICK)
 
 
 def short(frames: int = 9) -> Event:
@@ -28,26 +28,26 @@ def short(frames: int = 9) -> Event:
     )
 
 
-def infer(event: Event | None = None, **options: Any) -> ppl.StepwisePosterior:
+def infer(event: Event | None = None, **options: Any) -> ppl.ClosedLoopPosterior:
     given = {"model": MODEL, "workers": 1, "progress": False, **options}
     return ppl.infer(short() if event is None else event, **given)
 
 
 @pytest.fixture(scope="module")
-def whole() -> ppl.StepwisePosterior:
+def whole() -> ppl.ClosedLoopPosterior:
     return infer()
 
 
 TABLES = ("density", "policies", "policy_of", "shift", "strengths", "actions", "held")
 
 
-def assert_same(one: ppl.StepwisePosterior, other: ppl.StepwisePosterior, frames: int) -> None:
+def assert_same(one: ppl.ClosedLoopPosterior, other: ppl.ClosedLoopPosterior, frames: int) -> None:
     for name in TABLES:
         found = (post.dataset[name].values[:frames] for post in (one, other))
         np.testing.assert_array_equal(*found, name)
 
 
-def test_the_last_posterior_of_watching_is_the_batch_result(whole: ppl.StepwisePosterior) -> None:
+def test_the_last_posterior_of_watching_is_the_batch_result(whole: ppl.ClosedLoopPosterior) -> None:
     event = short()
     with ppl.watch(event.scene, MODEL, threads=2, event_id=event.id) as watch:
         posts = [watch.update(frame) for frame in event.observation.trajectory]
@@ -56,7 +56,7 @@ def test_the_last_posterior_of_watching_is_the_batch_result(whole: ppl.StepwiseP
     assert len(posts[0].over_time()["time"]) == 1
 
 
-def test_later_frames_never_change_earlier_posteriors(whole: ppl.StepwisePosterior) -> None:
+def test_later_frames_never_change_earlier_posteriors(whole: ppl.ClosedLoopPosterior) -> None:
     event = short()
     other = event.observation.trajectory.copy()
     other[6:, 0, :2] -= 1.5
@@ -68,7 +68,7 @@ def test_later_frames_never_change_earlier_posteriors(whole: ppl.StepwisePosteri
     np.testing.assert_array_equal(early.marginal("relation"), again.marginal("relation"))
 
 
-def test_only_scene_observation_and_seed_matter(whole: ppl.StepwisePosterior) -> None:
+def test_only_scene_observation_and_seed_matter(whole: ppl.ClosedLoopPosterior) -> None:
     event = dataclasses.replace(short(), truth=None, judgments=None)
     assert_same(infer(event, workers=2), whole, 9)
     other = infer(event, seed=1).dataset["policies"]
@@ -105,7 +105,7 @@ def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPa
         return read(self, frame)
 
     monkeypatch.setattr(GoalFilter, "read", interrupted)
-    with pytest.raises(ppl.StepwiseInterrupted, match="after 3 frames") as stopped:
+    with pytest.raises(ppl.ClosedLoopInterrupted, match="after 3 frames") as stopped:
         ppl.infer(event, MODEL, workers=1, progress=False)
     assert len(stopped.value.posterior.observed()) == 3
     calls.clear()
@@ -127,7 +127,7 @@ def test_other_likelihoods_cannot_be_read() -> None:
 def test_a_kernel_that_samples_finds_the_same() -> None:
     # a video that tells little: other goals or another prior of strengths would be 0.15 or 0.1 off
     tracking = ppl.Tracking(strength_weight=0.02)
-    likelihood = ppl.StepwiseLikelihood(weight=0.05, planner_seeds=1, tracking=tracking)
+    likelihood = ppl.ClosedLoopLikelihood(weight=0.05, planner_seeds=1, tracking=tracking)
     model = dataclasses.replace(MODEL, prior=few_goals, likelihood=likelihood)
     exact = infer(model=model)
     sampling: dict[str, Any] = {"kernel": "prior_mh", "chains": 100, "iterations": 128}
@@ -143,17 +143,17 @@ def test_a_kernel_that_samples_finds_the_same() -> None:
             assert abs(post.probability(**{name: cell}) - expected) < 0.06, (name, cell)
 
 
-def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.StepwisePosterior) -> None:
-    assert ppl.StepwiseLikelihood().planner_seeds == 4
+def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.ClosedLoopPosterior) -> None:
+    assert ppl.ClosedLoopLikelihood().planner_seeds == 4
     assert whole.planner_seeds == 2
     assert whole.probability(relation="friendly").error > 0
-    instant = dataclasses.replace(MODEL, likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    instant = dataclasses.replace(MODEL, likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1))
     post = infer(model=instant)
     assert np.isnan(post.probability(relation="friendly").error)
     assert post.cost["searches"] < whole.cost["searches"]
 
 
-def test_impossible_videos_are_called_out(whole: ppl.StepwisePosterior) -> None:
+def test_impossible_videos_are_called_out(whole: ppl.ClosedLoopPosterior) -> None:
     assert whole.diagnostics()["unexplained_frames"] == []
     torn, lying = (short().observation.trajectory.copy() for _ in range(2))
     torn[4:6, 0, 0] -= 9.0  # red is elsewhere for two frames
@@ -174,7 +174,7 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     event = tmp_path / "event.json"
     ppl.save_event(short(6), event)
     out = tmp_path / "out"
-    options = ["infer", str(event), "--model", "stepwise", "--watch", "--out", str(out)]
+    options = ["infer", str(event), "--model", "closed_loop", "--watch", "--out", str(out)]
     assert main([*options, "--workers", "1"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("  0.0 s  red: ")

@@ -63,7 +63,9 @@ class Knows(Draws):
 
 
 def model(simulator: Any, prior: Any = few_goals, **options: Any) -> ppl.Model:
-    return ppl.Model(prior=prior, simulator=simulator, likelihood=ppl.StepwiseLikelihood(**options))
+    return ppl.Model(
+        prior=prior, simulator=simulator, likelihood=ppl.ClosedLoopLikelihood(**options)
+    )
 
 
 def simulated(scene: ppl.Scene, hypothesis: Any, seed: int = 3) -> ppl.Event:
@@ -79,7 +81,7 @@ EVENT = simulated(
 )
 
 
-def infer(simulator: Any, event: ppl.Event = EVENT, **options: Any) -> ppl.StepwisePosterior:
+def infer(simulator: Any, event: ppl.Event = EVENT, **options: Any) -> ppl.ClosedLoopPosterior:
     given = {name: options.pop(name) for name in ("seed", "workers") if name in options}
     given = {"workers": 1, "progress": False, **given}
     return ppl.infer(event, model(simulator, **options), **given)
@@ -92,11 +94,11 @@ def log_likelihood(event: ppl.Event, hypothesis: Any, until: int | None = None) 
 
 
 @pytest.fixture(scope="module")
-def exact() -> ppl.StepwisePosterior:
+def exact() -> ppl.ClosedLoopPosterior:
     return infer(Knows())
 
 
-def test_by_density_the_posterior_is_a_sum_over_hypotheses(exact: ppl.StepwisePosterior) -> None:
+def test_by_density_the_posterior_is_a_sum_over_hypotheses(exact: ppl.ClosedLoopPosterior) -> None:
     levels, masses = (150.0, 300.0, 450.0, 600.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
     of_red = dict[str, float]()
     friendly = strength = early = total = total_early = 0.0
@@ -156,7 +158,7 @@ def of_three(world: ppl.World) -> None:
     for key in world.keys:
         probs = jnp.zeros(len(world.goals)).at[jnp.array(OWN_GOALS)].set(jnp.array(OWN_MASS))
         numpyro.sample(f"goal_{key}", dist.Categorical(probs=probs))
-    world_priors.company(world, social=0.5)
+    world_priors.alpha(world, social=0.5)
     for key in world.keys:
         numpyro.sample(f"strength_{key}", sites.OneOf(STRONG, [0.25, 0.75]))
 
@@ -243,7 +245,7 @@ def narrower() -> None:
 
 
 def test_another_prior_is_another_run_and_a_file_says_the_same(
-    exact: ppl.StepwisePosterior, tmp_path: Path
+    exact: ppl.ClosedLoopPosterior, tmp_path: Path
 ) -> None:
     changed, anew = exact.with_prior(narrower), infer(Knows(), prior=narrower)
     np.testing.assert_allclose(changed.marginal("goal_green"), anew.marginal("goal_green"))
@@ -305,7 +307,7 @@ def test_what_was_seen_cannot_be_changed_by_a_simulator() -> None:
         infer(Careless(), tracking=FEW)
 
 
-def test_kernels_are_told_what_was_read(exact: ppl.StepwisePosterior) -> None:
+def test_kernels_are_told_what_was_read(exact: ppl.ClosedLoopPosterior) -> None:
     told = ReadTable(exact)
     hypotheses = [
         Hypothesis(RED_GOALS[0], GREEN_GOALS[0], (1, 0), 310, 590),  # of the levels 300 and 600

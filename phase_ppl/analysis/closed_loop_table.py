@@ -44,7 +44,7 @@ from phase_ppl.models.prior_masses import (
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.arrays import GOLDEN, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
-from phase_ppl.world.space import HypothesisSpace, space_of
+from phase_ppl.world.space import ALPHA_SITE, HypothesisSpace, space_of
 
 MOST_ROWS: Final = 400_000
 """Hypotheses with combinations of strengths up to which all are in one table, where strengths are
@@ -53,7 +53,7 @@ independent of goals; of more, strengths are drawn."""
 _LEAST: Final = 1e-12  # hypotheses with a smaller share of the mass of the best are left out
 
 
-SCHEMA: Final = "phase_ppl/stepwise/3"
+SCHEMA: Final = "phase_ppl/closed_loop/4"
 """Of files of posteriors of the closed loop."""
 
 _ATTRS: Final = ("event_id", "settings", "cost", "weight")
@@ -106,7 +106,7 @@ def labels(space: HypothesisSpace, levels: tuple[float, ...]) -> dict[str, list[
         "action": list(ACTION_NAMES),
         "goal": list(space.world.goals),
         **{key: list(space.world.goals) for key in space.stated_sites},
-        space.company_site: ways,
+        ALPHA_SITE: ways,
         **{key: list(levels) for key in space.strength_sites},
     }
 
@@ -141,7 +141,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
         if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
             raise InvalidEventError(f"{name} has a code outside 0 to {top - 1}")
     numbers = {
-        **dict.fromkeys(("log_likelihood", "density", "log_prior_company"), "log densities"),
+        **dict.fromkeys(("log_likelihood", "density", "log_prior_alpha"), "log densities"),
         **{"shift": "differences", "strengths": "probabilities", "trajectory": "positions"},
     }
     for name in names & {*numbers}:
@@ -452,7 +452,7 @@ class Table:
         )
         values: dict[str, NDArray[Any]] = {
             **dict(zip(space.stated_sites, stated.T, strict=True)),
-            space.company_site: way,
+            ALPHA_SITE: way,
             **dict(zip(space.goal_sites, goals.T, strict=True)),
         }
         if combination is not None:

@@ -14,12 +14,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.closed_loop_table import Table, dimensions, table_of
 from phase_ppl.analysis.estimate import Estimate, Jackknife, kish_size, over_sets
 from phase_ppl.analysis.event_posterior import EventPosterior, answer_lines
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.query import Definition
-from phase_ppl.analysis.stepwise_table import Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading, of_tracks
 from phase_ppl.analysis.weights import log_sum_exp
@@ -47,7 +47,7 @@ FILTERING: Final = (
 FRAME: Final = "frame"  # attribute of files: the last frame that is counted
 
 
-class StepwisePosterior(EventPosterior):
+class ClosedLoopPosterior(EventPosterior):
     """The closed loop's posterior over all agents' goals, relations and strengths.
 
     Methods for questions are described in :class:`phase_ppl.analysis.hypotheses.Hypotheses`.
@@ -63,14 +63,14 @@ class StepwisePosterior(EventPosterior):
 
     Each frame counts ``weight`` (of the likelihood) for goals, and ``Tracking.strength_weight`` for
     strengths. Where these are not 1, the posterior is tempered: frames then count less than they
-    would under the model (:class:`phase_ppl.StepwiseLikelihood` says how the numbers were chosen).
+    would under the model (how they were chosen: :class:`phase_ppl.ClosedLoopLikelihood`).
 
     With a simulator of your own nothing is filtered, strengths are part of the hypotheses, and by
     default a frame counts in full. If the simulator has a density of the next frame, the posterior
     is exact and errors are 0. Otherwise errors come from the jackknife over parts of its samples.
 
     Args:
-        found: what the closed loop read (:mod:`phase_ppl.analysis.stepwise_table`).
+        found: what the closed loop read (:mod:`phase_ppl.analysis.closed_loop_table`).
         frame: the last frame that counts; by default the last of the video.
         prior: the prior's program, for questions about sites beyond those of a hypothesis.
         table: the hypotheses' likelihoods, computed from ``found`` by another posterior of the same
@@ -204,7 +204,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What the closed loop read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
+        """What the closed loop read (:func:`phase_ppl.analysis.closed_loop_table.dimensions`)."""
         return self._found
 
     @property
@@ -217,13 +217,13 @@ class StepwisePosterior(EventPosterior):
         """The last frame that counts."""
         return self._frame
 
-    def at(self, frame: int) -> StepwisePosterior:
+    def at(self, frame: int) -> ClosedLoopPosterior:
         """Return the posterior given only the frames from 0 to ``frame``.
 
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        at = StepwisePosterior(self._found, frame, prior=self._prior, table=self._table)
+        at = ClosedLoopPosterior(self._found, frame, prior=self._prior, table=self._table)
         return at._defining(self.definitions)
 
     @property
@@ -242,15 +242,15 @@ class StepwisePosterior(EventPosterior):
         seen = self._found["trajectory"].values
         return Observation(seen) if len(seen) >= MIN_FRAMES else None
 
-    def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.stepwise import stepwise_prior
+    def under(self, prior: Callable[..., object]) -> ClosedLoopPosterior:
+        from phase_ppl.models.closed_loop import closed_loop_prior
 
         table = self._table
-        masses, attrs = stepwise_prior(self.bound(prior), self.world, table.levels)
+        masses, attrs = closed_loop_prior(self.bound(prior), self.world, table.levels)
         known = dimensions(table.space)
         found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
-        changed = StepwisePosterior(found, self._frame, prior=prior)
+        changed = ClosedLoopPosterior(found, self._frame, prior=prior)
         return changed._defining(self.definitions)
 
     @property

@@ -37,13 +37,13 @@ FEWEST: Final = 20
 
 
 @dataclasses.dataclass(frozen=True)
-class StepwiseLikelihood:
+class ClosedLoopLikelihood:
     """The closed loop's likelihood: each frame is predicted from the frames before it.
 
     p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics for each
-    frame. The probability of an agent's action is (1 - lapse) visits^sharpness / Z + lapse / |A|.
-    Visits count how often the planner's search tried the action first; |A| is the number of
-    actions. These probabilities are averaged over ``planner_seeds`` sets of searches.
+    frame. The probability of an agent's action is
+    (1 - lapse) visits^inverse_temperature / Z + lapse / |A|. Visits count how often the planner's
+    search tried the action first; |A| is the number of actions. These probabilities are averaged over ``planner_seeds`` sets of searches.
 
     The posterior is tempered: each frame counts ``weight``. The reason is that real agents can plan
     otherwise than the model for many frames on end, so frames are not independent evidence.
@@ -51,7 +51,7 @@ class StepwiseLikelihood:
     the planner's searches and in the filter of the hidden state.
 
     ``lapse`` and ``weight`` have the highest log score of goals and relation, after the whole
-    video, on 26 of the 50 real videos (``benchmarks/stepwise.py fit``). On 21 of the other videos,
+    video, on 26 of the 50 real videos (``benchmarks/closed_loop.py fit``). On 21 of the others,
     whose scores were seen too, they come within 0.01 nats a video of the best. So figures on these
     videos are in-sample.
 
@@ -64,7 +64,7 @@ class StepwiseLikelihood:
     the least standard deviation of a kernel; and ``noise``, which is added to that (None: 0).
 
     Attributes:
-        sharpness: exponent of the visits: the inverse temperature of an agent's policy.
+        inverse_temperature: exponent of the visits: the inverse temperature of an agent's policy.
         lapse: probability, in each frame, that an agent acts at random.
         weight: exponent of each frame's density; 1: the posterior is not tempered. None: 0.2, or 1
             with a simulator of your own.
@@ -81,7 +81,7 @@ class StepwiseLikelihood:
         InvalidSettingError: a value cannot be used.
     """
 
-    sharpness: float = 4.0
+    inverse_temperature: float = 4.0
     lapse: float = 0.3
     weight: float | None = None
     planner_seeds: int = 4
@@ -89,7 +89,7 @@ class StepwiseLikelihood:
     samples: int = 100
 
     def __post_init__(self) -> None:
-        for name in ("sharpness", "lapse"):
+        for name in ("inverse_temperature", "lapse"):
             nonnegative_number(name, getattr(self, name))
         if self.weight is not None:
             positive_number("weight", self.weight)
@@ -109,21 +109,21 @@ class StepwiseLikelihood:
 
     @property
     def policy(self) -> ActionPolicy:
-        """How agents act on their plans: sharpness and lapse."""
-        return ActionPolicy(self.sharpness, self.lapse)
+        """How agents act on their plans: inverse_temperature and lapse."""
+        return ActionPolicy(self.inverse_temperature, self.lapse)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""
         return dataclasses.asdict(self)
 
 
-def stepwise_prior(
+def closed_loop_prior(
     prior: Callable[..., object], world: World, levels: tuple[float, ...]
 ) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Return what a file keeps of a prior that is bound to a world: variables, attributes.
 
     Where hypotheses are few enough for a table, ``log_prior`` of all of them, and the names of
-    further ``sites``; else ``log_prior_goals``, ``log_prior_company`` and ``log_prior_strengths``,
+    further ``sites``; else ``log_prior_goals``, ``log_prior_alpha`` and ``log_prior_strengths``,
     of sites that are independent of each other. Levels of strength are in newtons, ascending.
     """
     if space_of(world).is_listed:
@@ -133,7 +133,7 @@ def stepwise_prior(
     masses = world_priors.masses_of(prior)
     found = {
         "log_prior_goals": masses.goals,
-        "log_prior_company": masses.company,
+        "log_prior_alpha": masses.alpha,
         "log_prior_strengths": world_priors.log_strengths(masses, world, levels),
     }
     return found, {}

@@ -14,10 +14,10 @@ from scipy.special import entr
 import phase_ppl as ppl
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
-from tests.inference.stepwise.test_users_simulator import EVENT, SPREAD, Draws, Knows, model
+from tests.inference.closed_loop.test_users_simulator import EVENT, SPREAD, Draws, Knows, model
 
 QUICK = ppl.Model(
-    likelihood=ppl.StepwiseLikelihood(planner_seeds=1),
+    likelihood=ppl.ClosedLoopLikelihood(planner_seeds=1),
     planner=ppl.PlannerConfig(simulations=14, particles=6),
 )
 STINGY = dataclasses.replace(QUICK, planner=ppl.PlannerConfig(simulations=2, particles=2))
@@ -30,7 +30,7 @@ def hidden(event: ppl.Event, frames: slice, bodies: Any) -> ppl.Event:
     return dataclasses.replace(event, observation=ppl.Observation(seen))
 
 
-def infer(event: ppl.Event, given: ppl.Model = QUICK) -> ppl.StepwisePosterior:
+def infer(event: ppl.Event, given: ppl.Model = QUICK) -> ppl.ClosedLoopPosterior:
     return ppl.infer(event, given, workers=1, progress=False)
 
 
@@ -158,7 +158,7 @@ GAPS = hidden(hidden(EVENT, slice(1, 3), 0), slice(2, 4), 3)
 def test_of_samples_the_axes_of_unseen_bodies_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     by_samples = infer(GAPS, model(OfLastSeen(), samples=480, tracking=FEW))
     # the only density that there is otherwise is of whole frames, and so refused
-    monkeypatch.setattr("phase_ppl.inference.stepwise.has_density", lambda simulator: False)
+    monkeypatch.setattr("phase_ppl.inference.closed_loop.has_density", lambda simulator: False)
     exact = infer(GAPS, model(KnowsItsRest(), tracking=FEW))
     for name in ("goal_red", "goal_green"):
         assert np.abs(by_samples.marginal(name) - exact.marginal(name)).sum() / 2 < 0.08
