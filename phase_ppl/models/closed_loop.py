@@ -43,7 +43,8 @@ class ClosedLoopLikelihood:
     p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics for each
     frame. The probability of an agent's action is
     (1 - lapse) visits^inverse_temperature / Z + lapse / |A|. Visits count how often the planner's
-    search tried the action first; |A| is the number of actions. These probabilities are averaged over ``planner_seeds`` sets of searches.
+    search tried the action first; |A| is the number of actions. These probabilities are averaged
+    over ``planner_seeds`` sets of searches.
 
     The posterior is tempered: each frame counts ``weight``. The reason is that real agents can plan
     otherwise than the model for many frames on end, so frames are not independent evidence.

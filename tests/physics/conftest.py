@@ -58,6 +58,7 @@ class CompiledWorld:
 def make_scene(
     placed: Placed, sizes: Mapping[int, float] | None = None, walls: Any = (), **changes: Any
 ) -> Scene:
+    """Return a scene with some bodies placed, the others out of the way in the corners."""
     poses = np.array([[*corner, 0.0] for corner in CORNERS])
     for entity, pose in placed.items():
         poses[entity, : len(pose)] = pose
@@ -75,6 +76,7 @@ def start_in(
     resets: bool = False,
     **options: Any,
 ) -> Any:
+    """Return an engine at the start of a scene, one body perhaps in motion."""
     scene = make_scene(placed, sizes, walls, resets_velocity=resets)
     if moving is not None:
         options["initial"] = State.at_start(scene)
@@ -83,6 +85,7 @@ def start_in(
 
 
 def after(engine: Any, *pairs: Sequence[int], times: int = 1) -> State:
+    """Return the state after steps by these actions of both agents, each so many times."""
     for pair in pairs:
         for _ in range(times):
             engine.step(pair)
@@ -98,4 +101,5 @@ def world(request: pytest.FixtureRequest) -> Any:
 
 @pytest.fixture
 def start(world: Any) -> Callable[..., Any]:
+    """Start each engine; arguments as of ``start_in``."""
     return functools.partial(start_in, world)

@@ -16,6 +16,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import UNIT_TRAPEZOID
 from phase_ppl.world.scene import Scene
 from tests.physics.conftest import CompiledWorld, after, make_scene, start_in
@@ -92,6 +93,15 @@ def test_step_and_step_mean_do_the_same() -> None:
         assert np.array_equal(part, other)
 
 
+def test_compiled_model_has_no_state_outside_its_arrays() -> None:
+    where, actions = crowded(np.random.default_rng(9))
+    first, second = (start_in(CompiledWorld, *where, strengths=STRENGTHS) for _ in range(2))
+    after(first, *actions[:5])
+    second.bodies[:], second.held[:], second.weld[:] = first.bodies, first.held, first.weld
+    for pair in actions[5:]:
+        assert np.array_equal(first.step(pair), second.step(pair))
+
+
 def test_threads_with_their_own_scratch_do_not_disturb_each_other() -> None:
     cases = [crowded(np.random.default_rng(seed)) for seed in range(8)]
 
@@ -103,6 +113,26 @@ def test_threads_with_their_own_scratch_do_not_disturb_each_other() -> None:
         together = list(pool.map(run, cases))
     for case, result in zip(cases, together, strict=True):
         assert np.array_equal(run(case), result)
+
+
+def test_states_survive_the_way_through_flat_arrays() -> None:
+    rng = np.random.default_rng(0)
+    state = State(
+        pose=rng.uniform(8, 20, (4, 3)),
+        velocity=rng.normal(size=(4, 2)),
+        spin=rng.normal(size=4),
+        held=np.array([3, -1]),
+        weld=rng.normal(size=(2, 3)),
+    )
+    radius = np.array([0.8, 1.2, 1.6, 1.01])
+    arrays = compiled.from_state(state, radius)
+    back = compiled.to_state(*arrays, radius)
+    for name in ("pose", "velocity", "spin", "held", "weld"):
+        assert getattr(back, name) == pytest.approx(getattr(state, name))
+    # the centre of mass of an agent lies R/6 behind its origin
+    assert np.linalg.norm(arrays[0][:, :2] - state.pose[:, :2], axis=1) == pytest.approx(
+        [0.8 / 6, 0.2, 0.0, 0.0]
+    )
 
 
 class Box2DWorld:

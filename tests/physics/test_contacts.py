@@ -59,6 +59,19 @@ def test_contacts_neither_bounce_nor_rub(start: Any) -> None:
     assert state.spin[2] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_agent_pushes_an_item_ahead(start: Any) -> None:
+    state = after(start({0: (16, 5), 2: (16, 7)}, strengths=(450, 150)), (UP, WAIT), times=6)
+    assert state.pose[2, 1] > 9.0
+    assert abs(state.pose[2, 1] - state.pose[0, 1] - 1.6) < 0.05
+    # 450 N less the friction of both drive both masses
+    assert state.velocity[2, 1] == pytest.approx(state.velocity[0, 1], rel=0.02)
+
+
+def test_agents_stand_against_each_other_with_equal_force(start: Any) -> None:
+    state = after(start({0: (16, 10), 1: (16, 11.62, math.pi)}), (UP, UP), times=10)
+    assert state.pose[:2] == pytest.approx(np.array([[16, 10, 0], [16, 11.62, math.pi]]), abs=0.05)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_item_that_starts_on_an_agent_leaves_it_to_the_right(start: Any, angle: float) -> None:
     pose = after(start({1: (16, 12, angle), 3: (16, 12)}), REST, times=3).pose
@@ -130,7 +143,9 @@ def test_nobody_is_so_small_for_its_speed_that_it_passes_a_wall(
     assert furthest > 14.0
 
 
-def test_a_body_too_small_is_refused_with_the_size_that_would_do(start: Any) -> None:
+def test_a_body_too_small_for_any_division_is_refused_with_the_size_that_would_do(
+    start: Any,
+) -> None:
     with pytest.raises(InvalidSettingError, match=r"size 0\.02 is too small .* 600 N") as raised:
         start({}, {0: 0.02}, strengths=(600.0, 600.0))
     needed = float(re.findall(r"at least ([\d.]+)", str(raised.value))[0])

@@ -24,6 +24,7 @@ MIDDLE = {0: (16, 12)}
 
 
 def place_of(item: int, agent: int, state: State) -> NDArray[np.float64]:
+    """The item's centre in the agent's body frame."""
     offset = state.pose[item, :2] - state.pose[agent, :2]
     return np.asarray(offset @ rotation(state.pose[agent, 2]))
 
@@ -100,6 +101,11 @@ def test_attach_and_detach_do_nothing_where_there_is_nothing_to_do(start: Any) -
     assert state.pose[0, 1] < 10.0
 
 
+def test_attach_and_detach_exert_no_force(start: Any) -> None:
+    free, grabbing = (start(MIDDLE, moving=(0, (0.0, 10.0))) for _ in range(2))
+    assert np.array_equal(free.step((WAIT, WAIT)), grabbing.step((ATTACH, DETACH)))
+
+
 def test_both_agents_may_hold_the_same_item(start: Any) -> None:
     engine = start({**MIDDLE, 1: (16, 15.6), 2: (16, 13.8)})
     assert after(engine, (ATTACH, ATTACH)).held.tolist() == [2, 2]
@@ -134,7 +140,9 @@ def test_a_weak_agent_can_swing_an_item_and_a_stronger_one_drags_it(start: Any) 
 
 
 @pytest.mark.parametrize("pushes", [(UP, UP), (DOWN, DOWN), (UP, DOWN), (DOWN, UP)])
-def test_two_weak_agents_with_one_item_rest(start: Any, pushes: tuple[Action, Action]) -> None:
+def test_two_strength_zero_agents_with_one_item_stand_still(
+    start: Any, pushes: tuple[Action, Action]
+) -> None:
     # together 300 N against the friction of three bodies, 300 N
     engine = start({0: (16, 10), 1: (16, 13.2), 2: (16, 11.6)}, strengths=(150, 150))
     before = after(engine, (ATTACH, ATTACH)).pose
@@ -169,6 +177,9 @@ def test_both_engines_find_the_same_grab() -> None:
         found.append(one)
     assert {item for item, _ in found} == {NOTHING, 2, 3}
     assert {point for _, point in found} == {-1, 0, 1, 2, 3}
+
+
+# --- a rod that swivels, and a push at the origin -------------------------------------------------
 
 
 def imagined(

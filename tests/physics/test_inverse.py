@@ -47,7 +47,9 @@ def tried(where: Scene, unseen: Any = ()) -> tuple[np.ndarray, np.ndarray, compi
 @pytest.mark.parametrize(
     "where", [APART, TOUCHING, NEAR, BOTH], ids=["apart", "touching", "near", "both"]
 )
-def test_each_pair_has_the_density_of_what_is_seen_of_its_frame(where: Scene, unseen: Any) -> None:
+def test_every_pair_has_the_density_of_what_is_seen_of_its_own_frame(
+    where: Scene, unseen: Any
+) -> None:
     found, observed, params = tried(where, unseen)
     place = stats.multivariate_t(np.zeros(2), SCALE**2 * np.eye(2), df=TAIL)
     for red in range(N_ACTIONS):

@@ -60,6 +60,12 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return make
 
 
+@pytest.mark.parametrize("decorator", ["bare_kernel", "inlined_kernel"])
+def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str) -> None:
+    assert load(decorator) == (1, 0)
+    assert load(decorator) == (0, 1)
+
+
 @pytest.mark.parametrize("in_parts", [True, False])
 def test_kernels_within_kernels_give_what_python_would(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_parts: bool
@@ -93,7 +99,9 @@ def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
-def test_a_damaged_cache_is_made_anew(load: Any, tmp_path: Path, suffix: str, damage: str) -> None:
+def test_a_damaged_cache_is_named_and_made_anew(
+    load: Any, tmp_path: Path, suffix: str, damage: str
+) -> None:
     load()
     (file,) = tmp_path.glob(f"cache/**/*.{suffix}")
     content = file.read_bytes()
@@ -105,7 +113,9 @@ def test_a_damaged_cache_is_made_anew(load: Any, tmp_path: Path, suffix: str, da
     assert load() == (0, 1)
 
 
-def test_an_unwritable_cache_is_done_without(load: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_done_without(
+    load: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

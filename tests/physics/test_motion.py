@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.physics import constants
+from phase_ppl.physics import compiled, constants
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, NO_ACTION, Action
+from phase_ppl.physics.flat import ANGLE
+from phase_ppl.physics.welds import turn_frame
 from tests.physics.conftest import after
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
@@ -41,7 +43,9 @@ def test_bodies_have_the_masses_of_their_areas() -> None:
 
 @pytest.mark.parametrize("strength", STRENGTHS)
 @pytest.mark.parametrize("size", SIZES)
-def test_driving_gains_by_force_less_friction(start: Any, size: float, strength: float) -> None:
+def test_driving_straight_accelerates_by_force_less_friction(
+    start: Any, size: float, strength: float
+) -> None:
     state = after(start({0: (16, 5)}, {0: size}, strengths=(strength, 150.0)), (UP, WAIT))
     acceleration = (strength - 100.0) / (4.0 * size**2)
     assert state.velocity[0] == pytest.approx([0.0, acceleration / 12.0], abs=1e-9)
@@ -94,7 +98,9 @@ def test_actions_without_force_leave_a_coasting_agent_coasting(start: Any) -> No
         assert state.velocity[0, 1] == pytest.approx(20.0 - 100.0 / 2.56 / 12.0, abs=1e-9)
 
 
-def test_force_acts_where_the_body_faces_and_sideways_turns_it_a_little(start: Any) -> None:
+def test_force_acts_in_the_direction_the_body_faces_and_sideways_turns_it_a_little(
+    start: Any,
+) -> None:
     vx, vy = after(start({0: (16, 12, -math.pi / 2)}), (UP, WAIT)).velocity[0]
     assert vx > 5.0
     assert vy == pytest.approx(0.0, abs=1e-9)
@@ -113,13 +119,25 @@ def test_frame_is_the_mean_over_the_five_substeps(start: Any) -> None:
 
 
 @pytest.mark.parametrize("inner_steps", [2, 4])
-def test_free_motion_does_not_depend_on_inner_steps(start: Any, inner_steps: int) -> None:
+def test_free_motion_does_not_depend_on_the_number_of_inner_steps(
+    start: Any, inner_steps: int
+) -> None:
     actions = [UP, TURN_LEFT, Action.UP_RIGHT, Action.LEFT, Action.TURN_RIGHT]
     poses = []
     for n in (1, inner_steps):
         engine = start({0: (12, 8, 0.3), 1: (20, 16, 2.0)}, strengths=(150, 150), inner_steps=n)
         poses.append([engine.step((action, action)) for action in actions])
     assert poses[0] == pytest.approx(np.array(poses[1]), abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", [1e-9, 0.01, -0.2, 0.25, -0.2500001, 3.0])
+def test_frames_that_are_turned_stay_those_of_the_angle(turn: float) -> None:
+    scratch, bodies = compiled.make_scratch(), np.zeros((4, 9))
+    for _ in range(40):  # more than in any planner step
+        bodies[1, ANGLE] += turn
+        turn_frame(bodies, 1, turn, scratch)
+    angle = bodies[1, ANGLE]
+    assert scratch.rotation[1] == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-13)
 
 
 @pytest.mark.parametrize(("size", "strength"), [(0.8, 150.0), (1.2, 600.0)])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.path import Path as Polygon
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
@@ -19,7 +20,6 @@ from phase_study.exports import SLIPPED
 from phase_study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
 from phase_study.settings import PlaySettings, Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
-from tests.render.test_frames import inside
 from tests.study.players import near_goals
 
 
@@ -144,8 +144,8 @@ def test_the_outline_is_the_field_of_view_within_the_arena(agent: int) -> None:
         assert (corners >= [5.99, 1.99]).all()
         assert (corners <= [26.01, 22.01]).all()
         points = np.random.default_rng(0).uniform([6, 2], [26, 22], (400, 2))
-        whole = inside(field_of_view(where, where.start, agent), points)
-        assert (inside(corners, points) != whole).mean() < 0.01
+        whole = Polygon(field_of_view(where, where.start, agent)).contains_points(points)
+        assert (Polygon(corners).contains_points(points) != whole).mean() < 0.01
 
 
 def test_a_computer_sees_no_more_than_its_agent() -> None:
