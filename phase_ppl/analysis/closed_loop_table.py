@@ -506,7 +506,7 @@ def table_of(found: xr.Dataset) -> Table:
     if found.attrs.get("schema") != SCHEMA:
         raise InvalidEventError(
             "this is no posterior of the closed loop: its schema is "
-            f"{found.attrs.get('schema')!r}, expected {SCHEMA!r}"
+            f"{found.attrs.get('schema')!r}, expected {SCHEMA!r} (other versions: infer again)"
         )
     try:
         space = space_of(kept_world(found))

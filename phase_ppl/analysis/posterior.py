@@ -549,7 +549,7 @@ def load_posterior(
     try:
         groups = dict(read_netcdf(source))
         read = groups["/"]
-        if read.attrs.get("schema") != SCHEMA:
+        if not str(read.attrs.get("schema")).startswith(SCHEMA.partition("/")[0] + "/"):
             return Posterior(xr.DataTree.from_dict(groups), weights, burn_in=burn_in)
         for name, given in (("weights", weights), ("burn_in", burn_in)):
             if given is not None:
