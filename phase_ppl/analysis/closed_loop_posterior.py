@@ -467,8 +467,8 @@ class ClosedLoopPosterior(EventPosterior):
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
         counted = "; here a frame counts in full" if self.tempering else ""
-        if self._strength_weight != 1:
-            counted += f", for strengths {self._strength_weight:g}"
+        if (strengths := self._strength_weight) != 1:
+            counted = f"; here a frame counts 1 for goals and {strengths:g} for strengths"
         value = self.log_evidence
         density = str(value) if value.error > 0 else f"{value:.1f}"
         evidence = f"the log density of the video is {density} nats{counted}"
@@ -477,8 +477,8 @@ class ClosedLoopPosterior(EventPosterior):
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
         what = "calls" if self._table.users_simulator else "searches"
-        words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a frame"
-        words += " over all sets" if found["planner_seeds"] > 1 and what == "searches" else ""
+        words = f"{cost[what]} {what} in {steps} steps"
+        words += ", all sets together" if found["planner_seeds"] > 1 and what == "searches" else ""
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s (the film: {cost['video_seconds']:.1f} s)"
         return [*told, *wrapped("cost", words)]

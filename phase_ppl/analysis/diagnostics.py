@@ -299,7 +299,7 @@ _CATEGORIES: Final = {
 }
 """Columns of the tables -> their headings."""
 
-_CALLED: Final = {"total_error": "total_error (summed over frames)"}
+_CALLED: Final = {"total_error": "total_error (summed distance)"}
 _OF_WHAT: Final = "P is by the weights; share, with its MCSE, ESS and R-hat, is of the draws"
 
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
@@ -354,8 +354,8 @@ class Diagnostics(Printed, dict[str, Any]):
                 lines += wrapped(
                     name,
                     f"the same goal leads in {self['agreement'][name]:.0%} of the particles; total "
-                    f"variation between two particles {apart['mean']:.2f} on average over all "
-                    f"pairs, {apart['max']:.2f} at most",
+                    f"variation between two particles: mean {apart['mean']:.2f}, largest "
+                    f"{apart['max']:.2f}",
                 )
         return "\n".join([*lines, "", *verdict_lines(self)])
 
@@ -384,5 +384,5 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
     text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
     if windows["frames"] is not None:
         text += f" of {windows['frames']} frames"
-    text += f"; half of the proposals have one that begins in frames {low} to {high}"
+    text += f"; half of these proposals have a window that begins in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text

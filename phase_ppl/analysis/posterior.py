@@ -465,8 +465,8 @@ class Posterior(EventPosterior):
         told = {"errors": ""}
         if (size := self._effective_size) < estimate.FEW_DRAWS:
             told["errors"] = (
-                f"where all draws agree, an error is what {size:.1f} independent draws leave open "
-                "(Jeffreys)"
+                f"where an answer has all the weight, its error is what {size:.1f} independent "
+                "draws leave open (Jeffreys)"
             )
         told |= {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
         told |= {"fit": fit, "cost": _cost(self.cost, found)}
@@ -489,10 +489,10 @@ class Posterior(EventPosterior):
             noise = 2 * self.observed().shape[1] / beta
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
+            words = f"a frame's likelihood is exp(-{beta:g} x distance)"
             if far:
-                words = f"a frame counts exp(-{beta:g} x distance)"
-                return f"tempered: {words}, so a single one says next to nothing"
-            return f"a frame counts exp(-{beta:g} x distance), as noise of {noise:.0f} units"
+                return f"tempered: {words}, so one frame says next to nothing"
+            return f"{words}, as noise of {noise:.0f} units"
         counts = self._tree[trees.SIMULATED].attrs.get("frame_weight", 1.0)
         return f"the closed loop's, tempered: a frame counts {counts:g}" if counts != 1 else ""
 

@@ -56,7 +56,7 @@ DISAGREE: Final = 0.15
 _LOOKS: Final[Mapping[str, tuple[str, str, str]]] = {
     "fail": ("x", "#cf222e", "failed"),
     "doubt": ("!", "#9a6700", "doubt"),
-    "unknown": ("?", "#57606a", "unknown"),
+    "unknown": ("?", "#57606a", "cannot tell"),
     "ok": ("+", "#1a7f37", "passed"),
 }
 """State -> its mark, colour and meaning, the worst state first."""
@@ -76,6 +76,7 @@ ODD_PACE: Final = {
 
 _SUCCEEDED: Final = "simulations succeeded"
 _ANSWERS: Final = "answers above 1/2"
+_APART: Final = " (each most probable by itself)"
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -115,7 +116,7 @@ def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[
     )
     return {
         "trust": trust,
-        "answer": f"{'; '.join(parts)}{', each by itself' if apart else ''}. {said}.",
+        "answer": f"{'; '.join(parts)}{_APART if apart else ''}. {said}.",
         "checks": [one._asdict() for one in checks],
         "next": next((one.advice for one in ordered if one.advice), _onward(leaders)),
         "verdict": " ".join(one.says for one in ordered if one.says) or closing,
@@ -382,12 +383,12 @@ def _by_prior(found: Record) -> Iterator[Check]:
         shown = {name: f"{math.floor(1000 * share) / 1000:.3f}" for name, share in known.items()}
         short = [f"{shown[name]} for {_asked(name)}" for name in known if known[name] <= ALONE]
         says = (
-            f"Under a uniform prior over pairs of goals there would be {' and '.join(short)}: "
+            f"Under a uniform prior over simulated pairs there would be {' and '.join(short)}: "
             f"above {ALONE} the video decides, up to 1/2 the prior."
         )
-        value = f"{min(shown.values())}+ with a uniform prior"
+        value = f"{min(shown.values())} or more"
         state = "doubt" if short else "ok"
-        yield Check("the video decides", state, value, f"above {ALONE}", says)
+        yield Check("answers without prior", state, value, f"above {ALONE}", says)
 
 
 def _tried(found: Record, longer: str) -> Iterator[Check]:

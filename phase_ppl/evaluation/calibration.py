@@ -92,11 +92,12 @@ _BARS: Final = 10  # of histograms and of reliability, at most
 _IN_BAR: Final = 6  # videos for each of them, at least
 _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 _LEGEND: Final = (
-    "rank: mean place of the truth, from 0 (lowest) to 1, among draws in order of newtons, "
-    "or of the probability of their goal or relation; 0.5 if calibrated. p_even: p-value of a test "
-    f"that places are uniform; told if below {DOUBTFUL:g}. right: share of right answers, low "
-    "to high its 95 % interval. confidence: mean probability of the answers. log_score: mean log "
-    "probability of the truth, nats; expected: its mean if all probabilities were true."
+    "rank: where the truth falls among draws that are sorted by strength, or by the probability of "
+    "their goal or relation: 0 lowest, 1 highest, mean 0.5 if calibrated. p_even: p-value of a "
+    f"test that ranks are uniform; below {DOUBTFUL:g} a remark follows. right: share of right "
+    "answers, low to high its 95 % interval. confidence: mean probability of the answers. "
+    "log_score: mean log probability of the truth, nats; expected: its mean if all probabilities "
+    "were true."
 )
 
 
@@ -248,7 +249,7 @@ class Calibration(Printed):
             found["p_score"] = _p_score(np.array(said), float(gain.sum()))
             if found["p_score"] < DOUBTFUL:
                 above = gain.mean() > 0
-                how = "less sure than it should be" if above else "too sure"
+                how = "not sure enough" if above else "too sure"
                 beyond = f"{abs(gain.mean()):.2f} nats {'above' if above else 'below'} expectation"
                 verdicts.append(f"{how}: the truth scores {beyond}")
         if found["p_even"] < DOUBTFUL:
@@ -256,7 +257,7 @@ class Calibration(Printed):
                 f"ranks are not uniform (p = {found['p_even']:.2g}): biased, too sure or not sure "
                 "enough; .plot() shows which"
             )
-        return {**found, "verdict": ", ".join(verdicts) or f"nothing wrong found in {n} videos"}
+        return {**found, "verdict": ", ".join(verdicts) or f"no deviation shown ({n} videos)"}
 
 
 def calibrate(

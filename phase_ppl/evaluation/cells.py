@@ -146,7 +146,7 @@ def _tables(models: _Rows, people: Mapping[str, Any]) -> Iterator[tuple[str, _Co
             for name, words in _VERDICTS.items()
             if any(at(metrics, places[name]) for metrics in models.values())
         ]
-        yield f"{word} right, of all {', '.join(known)}", places, models
+        yield f"{word} right {', '.join(known)}", places, models
     agreeing = {**models, PEOPLE: _among_people(models)}
     for where, words in (
         ("human", " (people: r of halves; bound of the log score)"),

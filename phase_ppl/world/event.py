@@ -377,8 +377,8 @@ class Observation:
         gone = np.isnan(self.positions[..., 0])
         if n := int(gone.any(axis=1).sum()):
             who = np.flatnonzero(gone.any(axis=0)).tolist()
-            named = f"body {who[0]}" if len(who) == 1 else f"{len(who)} of them"
-            bodies += f"; {named} unseen in {n} frames"
+            several = f"{gone.sum()} of {gone.size} positions unseen"
+            bodies += f"; body {who[0]} unseen in {n} frames" if len(who) == 1 else f"; {several}"
         return f"<observation: {'; '.join(filter(None, (self.duration, bodies, self.said)))}>"
 
 

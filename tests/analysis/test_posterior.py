@@ -271,7 +271,9 @@ def test_table_fits_a_terminal_and_shows_the_leading_goals() -> None:
     for word in ("relation", "scenario", "strength", "cost", "checks", "12 s on 2 workers"):
         assert word in text
     # d / beta, of x and y of four entities, is beyond the arena
-    told = "tempered: a frame counts exp(-0.05 x distance), so a single one says next to nothing"
+    told = (
+        "tempered: a frame's likelihood is exp(-0.05 x distance), so one frame says next to nothing"
+    )
     assert told in " ".join(text.split())
     assert repr(post) == f"<Posterior of {post.event_id}: 4 x 6 draws, weights 'count'>"
     # goals without mass and costs that are not known are left out

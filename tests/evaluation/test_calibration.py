@@ -77,7 +77,7 @@ def exact() -> ppl.Calibration:
 def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
     summary = exact.summary
     assert list(summary.index) == ["goal_red", "goal_green", "relation"]
-    assert summary["verdict"].tolist() == [f"nothing wrong found in {N} videos"] * 3
+    assert summary["verdict"].tolist() == [f"no deviation shown ({N} videos)"] * 3
     assert (summary["p_even"] > 0.01).all()
     assert (summary["p_score"] > 0.01).all()
     bins = exact.reliability("goal_red")
@@ -90,7 +90,7 @@ def test_an_exact_posterior_is_calibrated(exact: ppl.Calibration) -> None:
 
 @pytest.mark.parametrize(
     ("spread", "verdict", "sign"),
-    [(0.5, "too sure", -1), (2.5, "less sure than it should be", 1)],
+    [(0.5, "too sure", -1), (2.5, "not sure enough", 1)],
     ids=["too narrow", "too wide"],
 )
 def test_a_wrong_noise_is_found(spread: float, verdict: str, sign: int) -> None:

@@ -173,7 +173,7 @@ def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path
         }  # fmt: skip
         assert "0.50 [0.01, 0.99] of 2" in str(one)
         where = "in decided events, in undecided events, where the answer is sure"
-        assert f"relations right, of all {where}\n" in str(one)
+        assert f"relations right {where}\n" in str(one)
     changed(tmp_path / "events" / "0000-a" / "prediction.json", sure={"goal_red": "yes"})
     with pytest.raises(InvalidEventError, match="goal_red='yes', expected True or False"):
         ppl.Evaluation.load(tmp_path)
