@@ -466,9 +466,9 @@ class ClosedLoopPosterior(EventPosterior):
         cost, told = self.cost, [*self._notes(), *answer_lines(self, levels=self._table.levels), ""]
         if changed := changed_text(self.settings):
             told += wrapped("prior", changed)
-        counted = "; here a frame counts in full" if self.tempering else ""
+        counted = ", not tempered" if self.tempering else ""
         if (strengths := self._strength_weight) != 1:
-            counted = f"; here a frame counts 1 for goals and {strengths:g} for strengths"
+            counted = f", not tempered for goals; for strengths a frame counts {strengths:g}"
         value = self.log_evidence
         density = str(value) if value.error > 0 else f"{value:.1f}"
         evidence = f"the log density of the video is {density} nats{counted}"
@@ -477,8 +477,9 @@ class ClosedLoopPosterior(EventPosterior):
             told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
         what = "calls" if self._table.users_simulator else "searches"
-        words = f"{cost[what]} {what} in {steps} steps"
-        words += ", all sets together" if found["planner_seeds"] > 1 and what == "searches" else ""
+        sets = found["planner_seeds"] if what == "searches" else 1
+        by = f" by {sets} sets" if sets > 1 else ""
+        words = f"{cost[what]} {what}{by} in {steps} steps"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s (the film: {cost['video_seconds']:.1f} s)"
         return [*told, *wrapped("cost", words)]

@@ -299,8 +299,13 @@ _CATEGORIES: Final = {
 }
 """Columns of the tables -> their headings."""
 
-_CALLED: Final = {"total_error": "total_error (summed distance)"}
-_OF_WHAT: Final = "P is by the weights; share, with its MCSE, ESS and R-hat, is of the draws"
+_CALLED: Final = {
+    "total_error": "total_error (summed distance)",
+    "log_joint": "log_joint (prior x likelihood)",
+}
+_OF_WHAT: Final = (
+    "P is by the weights; share, with its MCSE, ESS and R-hat, is of the unweighted draws"
+)
 
 _BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
 
@@ -384,5 +389,5 @@ def _of_windows(windows: Mapping[str, Any]) -> str:
     text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
     if windows["frames"] is not None:
         text += f" of {windows['frames']} frames"
-    text += f"; half of these proposals have a window that begins in frames {low} to {high}"
+    text += f"; the middle half of their windows begin in frames {low} to {high}"
     return f"{text}; {windows['without']} from none" if windows["without"] else text

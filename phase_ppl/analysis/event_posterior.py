@@ -576,7 +576,7 @@ def _leading(of: Hypotheses, name: str) -> list[tuple[str, Estimate]]:
     shown, others = ranked[:_SHOWN], [label for label, _ in ranked[_SHOWN:]]
     event: dict[str, Any] = {name: others}
     if others and (rest := of.probability(**event)) >= _LITTLE:
-        shown.append((f"{len(others)} other possible goal{'s' * (len(others) > 1)}", rest))
+        shown.append((f"{len(others)} other goal{'s' * (len(others) > 1)}", rest))
     return shown
 
 

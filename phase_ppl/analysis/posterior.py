@@ -465,8 +465,8 @@ class Posterior(EventPosterior):
         told = {"errors": ""}
         if (size := self._effective_size) < estimate.FEW_DRAWS:
             told["errors"] = (
-                f"where an answer has all the weight, its error is what {size:.1f} independent "
-                "draws leave open (Jeffreys)"
+                "where an answer has all the weight or none, its error is what "
+                f"{size:.1f} independent draws leave open (Jeffreys)"
             )
         told |= {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
         told |= {"fit": fit, "cost": _cost(self.cost, found)}
@@ -508,7 +508,7 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         "budget": " (of a budget of {}),",
         "seconds": " in {:.0f} s",
         "workers": f" on {{:d}} worker{'' if cost.get('workers') == 1 else 's'}",
-        "seconds_overhead": " ({:.0f} s of these outside simulations)",
+        "seconds_overhead": " ({:.0f} s of it outside simulations)",
     }
     told = [words.format(cost[name]) for name, words in known.items() if cost.get(name) is not None]
     stopped = "none stopped early"

@@ -302,8 +302,8 @@ class _Reader:
             if not hint:
                 labels_of = self._quantity(name).labels
                 hint = f", as in {name.text} = {labels_of[0]}" if labels_of else ""
-            signs = "=, !=, <, <=, >, >= or in, and a value"
-            self.expected(f"{name.text} with {signs}{hint}")
+            signs = "=, !=, <, <=, >, >=, in"
+            self.expected(f"a comparison of {name.text} ({signs}){hint}")
         labels: list[Word] = []
         if sign == "in" and self._take("["):
             return self._numbers(name, at, self._interval())

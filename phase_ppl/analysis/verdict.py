@@ -76,7 +76,7 @@ ODD_PACE: Final = {
 
 _SUCCEEDED: Final = "simulations succeeded"
 _ANSWERS: Final = "answers above 1/2"
-_APART: Final = " (each most probable by itself)"
+_APART: Final = ". Each is the most probable by itself"
 _NAMED: Final = 3  # frames that are named
 _GOAL: Final = "goal_"  # begins the names of goals
 
@@ -369,7 +369,7 @@ def _enough(found: Record, longer: str) -> Check:
         f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
         f"{needed:g}. Another run may well differ."
     )
-    state, value = "fail" if size < needed else "ok", f"{size:.1f} effective draws"
+    state, value = "fail" if size < needed else "ok", f"{size:.1f} effective, by weight"
     return Check(name, state, value, f"{needed:g} or more", says, longer)
 
 
@@ -386,7 +386,7 @@ def _by_prior(found: Record) -> Iterator[Check]:
             f"Under a uniform prior over simulated pairs there would be {' and '.join(short)}: "
             f"above {ALONE} the video decides, up to 1/2 the prior."
         )
-        value = f"{min(shown.values())} or more"
+        value = f"lowest {min(shown.values())}"
         state = "doubt" if short else "ok"
         yield Check("answers without prior", state, value, f"above {ALONE}", says)
 
@@ -402,7 +402,7 @@ def _tried(found: Record, longer: str) -> Iterator[Check]:
             "count as impossible."
         )
         # below the bound it is no doubt: some kernels need not try all
-        few, limit = "unknown" if untried >= UNTRIED else "ok", f"{1 - UNTRIED:.2f} or more"
+        few, limit = "unknown" if untried >= UNTRIED else "ok", f"{1 - UNTRIED:.2f} to tell"
         yield Check("goals simulated", few, f"{1 - untried:.2f} of the prior", limit, says)
 
 

@@ -225,7 +225,7 @@ class WhatIf(Printed):
             when = "" if np.isinf(after) else f" (reached at {after:.1f} s, {median})"
             if self.begin and after <= self.begin / FRAMES_PER_SECOND:
                 when = " (it is reached already)"
-            told.append(f"{share}{when if timed.any() else ' (holds at the end)'}")
+            told.append(f"{share}{when if timed.any() else ' (true at the end)'}")
         if len(told) == 1:
             return f"probability {told[0]}"
         if about:
@@ -239,7 +239,7 @@ class WhatIf(Printed):
             so = f"{names} was {'in its way' if change > 0 else 'of help'}"
         else:
             so = f"{'more' if change > 0 else 'less'} often"
-        both = f"as it is: {told[0]}; with {self.change}: {told[1]}"
+        both = f"without the change: {told[0]}; with {self.change}: {told[1]}"
         return f"probability {both}; difference {change}: {so}"
 
     def __repr__(self) -> str:

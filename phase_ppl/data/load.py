@@ -154,7 +154,7 @@ def _bundled_name(path: PathLike) -> str | None:
         if plain.exists():
             return None
         raise InvalidEventError(
-            f"{path}: no such file and no such bundled event ({', '.join(known)})"
+            f"{path}: no such file, nor a bundled event: those are {', '.join(known)}"
         )
     return name
 

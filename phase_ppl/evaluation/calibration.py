@@ -94,10 +94,11 @@ _HELD: Final = (0.5, 0.8, 0.9, 0.95)  # of central intervals of strengths
 _LEGEND: Final = (
     "rank: where the truth falls among draws that are sorted by strength, or by the probability of "
     "their goal or relation: 0 lowest, 1 highest, mean 0.5 if calibrated. p_even: p-value of a "
-    f"test that ranks are uniform; below {DOUBTFUL:g} a remark follows. right: share of right "
+    f"test that ranks are uniform. Below {DOUBTFUL:g} a remark follows, also if log_score and "
+    "expected differ that improbably. right: share of right "
     "answers, low to high its 95 % interval. confidence: mean probability of the answers. "
-    "log_score: mean log probability of the truth, nats; expected: its mean if all probabilities "
-    "were true."
+    "log_score: mean log probability of the truth, nats; expected: its mean if the model "
+    "were calibrated."
 )
 
 

@@ -19,8 +19,8 @@ LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
-    f"{LEVEL:.0%} intervals: of accuracies by Clopper-Pearson, with n lowered for the correlation "
-    "of answers to one event; of other scores by resampling events"
+    f"{LEVEL:.0%} intervals: right answers by Clopper-Pearson, with n lowered, since answers to "
+    "one event correlate; other scores by resampling events"
 )
 
 _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _UNKNOWN: Final = (
-    "the errors of all answers are unknown (that takes two sets of searches or more, and "
-    "planner_seeds=1 is one): so no answer is sure, and no event is decided"
+    "the errors of all answers are unknown (they need two sets of searches or more; "
+    "planner_seeds=1 gives one): so no answer is sure, and no event is decided"
 )
 _FEW: Final = 3  # failures and notes that are printed
 

@@ -377,7 +377,7 @@ class Observation:
         gone = np.isnan(self.positions[..., 0])
         if n := int(gone.any(axis=1).sum()):
             who = np.flatnonzero(gone.any(axis=0)).tolist()
-            several = f"{gone.sum()} of {gone.size} positions unseen"
+            several = f"{gone.sum()} of {gone.size} positions missing"
             bodies += f"; body {who[0]} unseen in {n} frames" if len(who) == 1 else f"; {several}"
         return f"<observation: {'; '.join(filter(None, (self.duration, bodies, self.said)))}>"
 

@@ -240,7 +240,7 @@ def test_leading_goals_that_do_not_lead_together_are_said_to_lead_each_by_itself
         "neutral",
         "friendly",
     )
-    assert "neutral (0.95) (each most probable by itself)." in answer
+    assert "neutral (0.95). Each is the most probable by itself." in answer
     assert "by itself" not in posterior_of([A] * 20, each).diagnostics()["answer"]
 
 
@@ -252,7 +252,7 @@ def test_goals_about_as_probable_as_the_first_are_named_or_counted() -> None:
     third, others = of(3).diagnostics()["verdict"], of(5)
     assert f"or '{GOALS[4]}' (0.333)" in third
     assert "or one of 3 others about as probable" in others.diagnostics()["verdict"]
-    assert "2 other possible goals              0.40 ±" in str(others)
+    assert "2 other goals                       0.40 ±" in str(others)
 
 
 # --- R-hat and effective sizes --------------------------------------------------------------------

@@ -94,7 +94,7 @@ WRONG = {
     "P(relation=freindly)": (11, "did you mean 'friendly'"),
     "P(relatoin=friendly)": (2, "unknown quantity 'relatoin'; allowed: goal_red, "),
     "P(relation~friendly)": (10, "',' or '|' or ')'"),
-    "P(relation=friendly, goal_red)": (29, "goal_red with =, !=, <"),
+    "P(relation=friendly, goal_red)": (29, "a comparison of goal_red (=, !=, <"),
     "P(goal_red, relation=friendly)": (20, "names only or conditions only"),
     "P(goal_red, goal_red)": (12, "named twice"),
     "P(relation=friendly | alpha=(1,0) | x)": (34, "',' or ')'"),

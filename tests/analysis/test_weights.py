@@ -237,7 +237,7 @@ def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> 
     found = post.diagnostics()
     assert "0.50 of the prior's mass were never simulated" in found["verdict"]
     (check,) = (one for one in found["checks"] if one["name"] == "goals simulated")
-    assert (check["state"], check["limit"]) == ("unknown", "0.95 or more")
+    assert (check["state"], check["limit"]) == ("unknown", "0.95 to tell")
 
 
 FOLLOWED = ("goal_red", "goal_green", "relation", "scenario")

@@ -214,7 +214,7 @@ def test_what_was_removed_is_in_no_room_and_near_nothing() -> None:
         this = dataclasses.replace(found, goals=[(world.goals.index(goal),)])
         by_removal = "(what is removed counts as far away)" in told(this)
         assert by_removal == ("home" not in goal or "ball" in goal), goal
-        assert ("(holds at the end)" in told(this)) == ("not " in goal or "away from" in goal), goal
+        assert ("(true at the end)" in told(this)) == ("not " in goal or "away from" in goal), goal
 
 
 def test_a_film_shows_both_worlds(alone: WhatIf, tmp_path: Path) -> None:

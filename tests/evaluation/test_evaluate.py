@@ -180,7 +180,7 @@ def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path
     assert evaluate().metrics["verdict"] == {"goal": {}, "relation": {}}
     shares = {"relation": [0.5, 0.25, 0.25]}
     unknown = ppl.Prediction("", shares, errors={"relation": [np.nan] * 3}, decided=False)
-    words = "errors of all answers are unknown (that takes two sets of searches"
+    words = "errors of all answers are unknown (they need two sets of searches"
     assert words in " ".join(str(evaluate(model=saying(unknown))).split())
 
 

@@ -300,7 +300,7 @@ def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_pat
         assert row["relation_red_green"] == word
     again = ppl.load_posterior(post.save(tmp_path / "post.nc"))
     assert (str(again), again.map()) == (str(post), post.map())
-    assert all(words in str(post) for words in ("purple agent", "tempered: a frame counts"))
+    assert all(words in str(post) for words in ("purple agent", "tempered: a frame's likelihood"))
     assert set(post.over_time()) >= {"goal_green", "relation_green_purple"}
     # what would have been, of who helps or hinders whom as it was found
     found = post.do(strength_red=600.0, n=3, seconds=0.1, workers=1, simulator=walkers)

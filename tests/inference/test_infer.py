@@ -121,7 +121,7 @@ def test_an_event_may_be_given_by_its_name() -> None:
     post = ppl.infer("collaborate", MODEL, **options)
     event = ppl.load_event("collaborate")
     np.testing.assert_array_equal(post.observed(), event.observation.trajectory)
-    with pytest.raises(InvalidEventError, match="collaborat: no such file and no such bundled"):
+    with pytest.raises(InvalidEventError, match="collaborat: no such file, nor a bundled"):
         ppl.infer("collaborat")
 
 
