@@ -118,7 +118,7 @@ _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken f
 class Tracking:
     """Settings by which the closed loop follows hidden states: velocities, holds, strengths.
 
-    The settings were chosen on 50 of the authors' test videos. ``scale``, ``angle_scale`` and
+    Four settings were chosen on 50 of the authors' test videos. ``scale``, ``angle_scale`` and
     ``tail`` were chosen on ten of them, by agreement with the actions recovered from these videos,
     and confirmed on all 50 (``benchmarks/closed_loop.py replays``). ``strength_weight`` was chosen
     by the log score of the strengths of one half of the 50 (``--half first``), with and without
