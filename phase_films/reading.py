@@ -142,7 +142,8 @@ def read_video(
         scene: the scene that the film shows: its world, walls and sizes. It is kept as given.
         layout: a world or its name, such as "phase", if the scene is unknown. Walls, landmarks,
             sizes and starts are then read from the picture. In PHASE the scene's ``turning`` (which
-            way agents can turn) is inferred from the turns seen; "both" if none are.
+            way agents can turn) is inferred from the turns seen: "both" unless they clearly go one
+            way (:func:`phase_ppl.observed_turning`).
         frames_per_step: frames of the film per frame of the event, which is a planner step (1/12 s
             of simulated time). Default: the number of film frames in a quarter of a second, as in
             the package's films. Bodies are taken to move straight between two frames of the film.
@@ -154,7 +155,8 @@ def read_video(
         progress: whether to show a progress bar; None: if stderr is a terminal.
 
     Returns:
-        The event, with a confidence for every frame and body.
+        A :class:`VideoReading`: the ``event``, and the ``confidence`` (time, entity) in each pose,
+        from 0 (not seen, interpolated) to 1.
 
     Raises:
         InvalidEventError: the file is missing or no video; the arena, a colour or a body is not

@@ -118,23 +118,25 @@ _VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken f
 class Tracking:
     """Settings by which the closed loop follows hidden states: velocities, holds, strengths.
 
-    ``scale``, ``angle_scale`` and ``tail`` were chosen on ten of the real videos, by agreement with
-    the actions recovered from these videos, and confirmed on all 50 (``benchmarks/closed_loop.py
-    replays``). ``strength_weight`` was chosen by the log score of the strengths of the first half
-    of the real videos, with and without noise on positions (``benchmarks/closed_loop.py beam``).
+    Four settings were chosen on 50 of the authors' test videos. ``scale``, ``angle_scale`` and
+    ``tail`` were chosen on ten of them, by agreement with the actions recovered from these videos,
+    and confirmed on all 50 (``benchmarks/closed_loop.py replays``). ``strength_weight`` was chosen
+    by the log score of the strengths of one half of the 50 (``--half first``), with and without
+    noise on positions (``benchmarks/closed_loop.py beam``).
 
     ``strength_weight`` is far below 1, because a beam (the states kept) has few of the many
-    histories that frames cannot tell apart. So the evidence for a pair of strengths varies far more
-    than it should, on the model's own videos too.
+    histories that frames cannot tell apart. So the evidence for the agents' strengths is far too
+    noisy, even on videos drawn from the model itself. The exponent makes up for that.
 
     Attributes:
         strengths: forces that each agent may have, newtons, ascending, from 150 to 600.
         states: number of states kept, in addition to the best one of each combination of strengths.
         strength_weight: exponent of each frame's density as evidence for strengths. Below 1 this
             evidence is tempered.
-        scale: scale of the density of an entity's distance from where the right action would have
-            put it, units. ``noise`` is added to it, as the root of the sum of squares.
-        angle_scale: scale of the density of an agent's deviation from the right angle, rad.
+        scale: scale of the density of an entity's distance from where the agents' true actions
+            would have put it, units. ``noise`` is added to it, as the root of the sum of squares.
+        angle_scale: scale of the density of the difference between an agent's angle and the one
+            that the action tried would give, rad.
         tail: degrees of freedom of Student's t, the form of both densities.
         noise: standard deviation of the noise on observed positions, units. None: estimated from
             the frames so far.

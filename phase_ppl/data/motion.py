@@ -193,7 +193,8 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
 def observed_turning(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> Turning:
     """Return "ccw" or "cw" if the two agents of PHASE clearly turn one way only, else "both".
 
-    "ccw" is counter-clockwise. At least 3 turns must be seen, 80 % of them one way.
+    "ccw" is counter-clockwise. A turn is one step of an agent at its full turning rate. Over both
+    agents at least 3 must be seen, 80 % or more of them one way.
 
     Args:
         trajectory: (time, entity, coord) x, y [units], angle [rad]; agents first.

@@ -113,14 +113,16 @@ class Calibration(Printed):
     """How well calibrated a model is on videos drawn from it. ``print`` shows it.
 
     Attributes:
-        table: a row per video and quantity. Columns: ``event`` and ``quantity``; ``rank``, the rank
-            of the truth among ``n`` draws of the posterior, by newtons for a strength, by the
-            posterior probability of the answer for a goal or relation; and ``place``, from 0 to 1,
-            (rank + u) / (n + 1) with u uniform in [0, 1). For goals and relations also the
-            probability of the ``truth`` and of the ``top`` answer; ``right``, whether the top
-            answer is the truth (1 or 0); ``log_score``, log(0.99 p + 0.01 / K), nats, of the
-            truth's probability p among K answers; and ``expected``, the log score that the
-            posterior expects, nats. For strengths these are NaN.
+        table: a row per video and quantity. Columns: ``event``; ``quantity``, such as "goal_red",
+            "relation" or "strength_red"; ``n``, number of draws of the posterior; ``rank``, how
+            many of them lie below the truth, from 0 to n, with ties at random: by newtons for a
+            strength, by the posterior probability of the answer for a goal or relation; and
+            ``place``, from 0 to 1, (rank + u) / (n + 1) with u uniform in [0, 1). For goals and
+            relations also ``truth`` and ``top``, the probabilities of the true and of the most
+            probable answer; ``right``, whether the top answer is the truth (1 or 0);
+            ``log_score``, log(0.99 p + 0.01 / K), nats, of the truth's probability p among K
+            answers; and ``expected``, the log score that the posterior expects, nats. For
+            strengths these are NaN.
         evaluation: the evaluation with the answers; its events are the videos.
         notes: known reasons why the model cannot be calibrated.
     """
@@ -147,10 +149,10 @@ class Calibration(Printed):
         return found.rename_axis("quantity")
 
     def reliability(self, quantity: str) -> pd.DataFrame:
-        """Return how often what was said with a probability is true.
+        """Return the share of right answers beside the probability that the model gave them.
 
         Args:
-            quantity: a goal, a relation or a strength.
+            quantity: a name in the column ``quantity`` of the table, such as "goal_red".
 
         Returns:
             For a goal or a relation a row per bin of top answers, sorted by probability, with equal

@@ -253,18 +253,18 @@ def compare_models(
             compared.
         common: whether to compare on the events that all evaluations share. By default all must be
             about the same events.
-        margin: largest difference between the shares of right answers of a model and of people at
-            which they count as equivalent.
+        margin: a model and people count as equivalent if two one-sided tests reject that their
+            shares of right answers differ by this much or more. Between 0 and 1.
         seed: seed of the resamples of the events, a whole number >= 0.
         resamples: number of resamples of the events, for differences and equivalence; by default
-            10 000. Metrics have 1000, as in the paper.
+            10 000. The intervals of metrics always come from 1000, as in the paper.
 
     Raises:
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations are
             about different events, and the message says which.
-        InvalidSettingError: a source is no evaluation; there are none; two have the same name, or
-            one has the name of people; the events are of several worlds; or a number is out of
-            range.
+        InvalidSettingError: a source is no evaluation; there are none; two have the same name;
+            one is named "people", which is reserved for people's answers; the events are of several
+            worlds; or a number is out of range.
         UnknownNameError: there is no model with the name in ``against`` or ``stored``.
     """
     found = evaluations(sources)

@@ -131,7 +131,9 @@ def register_model(
     """Return a decorator that registers a factory of models under ``name``.
 
     The factory is a function ``factory(**options)`` that returns a model: a function
-    ``(scene, observation, seed)``. The first line of its documentation describes the model.
+    ``(scene, observation, seed)``. The model returns a :class:`phase_ppl.Prediction`, a posterior,
+    or a mapping of answers, as :meth:`phase_ppl.Prediction.of` takes it. The first line of the
+    factory's documentation describes the model.
 
     Args:
         name: name by which users call the model.
@@ -157,7 +159,7 @@ def available_models() -> list[str]:
 
 
 def model_info(name: str) -> ModelInfo:
-    """Return a registered model's factory, summary, options and needs (:class:`ModelInfo`).
+    """Return what is known of a registered model: its factory, summary, needs and so on.
 
     Raises:
         UnknownNameError: there is no such model; the message names close matches.
@@ -242,16 +244,23 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
 class Onlooker(Protocol):
     """An observer: it turns a model's answers into the answers of a person who watches.
 
+    This is a protocol: an observer of your own is an object of any class with these two members.
+
     Attributes:
-        record: all that determines what the observer changes, as plain data for an evaluation's
-            settings, under keys that a model's settings do not have.
+        record: a mapping of plain data with all settings of the observer. In an evaluation's
+            settings it is merged with the model's. So none of its keys may be one of theirs:
+            "model", "options", "model_settings", "function", "function_source", "seed", "versions"
+            or "events".
     """
 
     @property
     def record(self) -> Mapping[str, Any]: ...
 
     def seeing(self, model: Predict, world: World) -> Predict:
-        """Return ``model``, changed to answer as a person who watches events of ``world``."""
+        """Return ``model``, changed to answer as a person who watches events of ``world``.
+
+        Like the model, it is a function ``(scene, observation, seed)``.
+        """
 
 
 def seen_through(

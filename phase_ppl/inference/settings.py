@@ -167,9 +167,10 @@ def seconds(n: float) -> Budget:
     """Return a budget of ``n`` seconds of wall time, from the start of the call.
 
     The initial particles are always simulated, unless one takes longer than the whole budget. If
-    the closed loop proposes goals, it reads the video first. An iteration begins only if, judging
-    by earlier iterations, it will end in time. So a run often takes less time than the budget and
-    rarely more. An iteration is stopped once the run has taken 1.1 times the budget and a second.
+    the closed loop proposes goals, it reads the video first. This time counts; an earlier reading
+    that is used again takes none. An iteration begins only if, judging by earlier iterations, it
+    will end in time. So a run often takes less time than the budget and rarely more. An iteration
+    is stopped once the run has taken 1.1 ``n`` + 1 seconds.
 
     Raises:
         InvalidSettingError: ``n`` is no positive number.

@@ -51,10 +51,10 @@ class Episode(NamedTuple):
 def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
     """Return sentences on what the agents of a simulated event did, and why.
 
-    Each line is about a stretch of time, in simulated seconds, in which an agent has one subgoal.
-    It says what the agent does, and how it knows the place of the entity that its goal is about: it
-    sees the entity, holds it, or believes it in a room. Behind a room stands the share of the
-    agent's belief particles in which the entity is there.
+    Each line is about a stretch of time, in simulated seconds. In it an agent has one subgoal, and
+    knows the place of the entity that its goal is about in one way: it sees the entity, holds it,
+    or believes it in a room. Changes for fewer than 4 steps are left out. Behind a room stands the
+    share of the agent's belief particles that have the entity there at the start of the stretch.
 
     Args:
         event: an event from :func:`phase_ppl.simulate`.
@@ -62,7 +62,8 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
             where it believes unseen entities to be (dots in their colours), and its subgoal.
 
     Raises:
-        InvalidEventError: the event has no thoughts of its agents.
+        InvalidEventError: the event does not record what its agents saw, believed and intended:
+            only events straight from :func:`phase_ppl.simulate` do.
         OutputError: the film cannot be written there.
     """
     thoughts = event.thoughts

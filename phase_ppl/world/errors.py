@@ -42,7 +42,10 @@ _PATH_CHARACTERS = 400
 
 
 class PhasePPLError(Exception):
-    """Base of all exceptions of this package."""
+    """Base of all errors of this package.
+
+    Interruptions, such as ``ComparisonInterrupted``, are ``KeyboardInterrupt``s instead.
+    """
 
 
 class InvalidEventError(PhasePPLError, ValueError):

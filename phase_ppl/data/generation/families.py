@@ -241,14 +241,18 @@ def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
     its situations in this way.
 
     Args:
-        cell: FAMILY or FAMILY:VARIANT, such as "independent:LMO+LMA" or "chasing".
+        cell: FAMILY or FAMILY:VARIANT, such as "chasing" or "independent:LMO+LMA". LMO is the goal
+            to have an item at a landmark, LMA the goal to be at one oneself. The first is the red
+            agent's here, the second the green agent's.
         world: the world, or the name of a ready-made one.
         seed: a whole number >= 0. The same seed gives the same situation.
 
     Raises:
         UnknownNameError: there is no such world, family or variant.
-        InvalidSettingError: the world cannot have the family, or the family drew a wrong situation
-            or none.
+        InvalidSettingError: the world cannot have the family; the family's function returned no
+            scene and hypothesis of this world, or goals that do not make the family's scenario; or
+            each of 200 draws was refused, such as for overlapping bodies or a goal that is true at
+            the start.
     """
     world = named(world)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
