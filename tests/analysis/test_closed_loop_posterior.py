@@ -235,7 +235,7 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
     for asked in (("goal_red", "relation"), ("alpha",)):
         np.testing.assert_array_equal(again.joint(*asked), post.joint(*asked))
     assert str(again) == str(post)
-    paid = "12 searches by 4 sets in 3 steps, in 1.0 s (the film: 0.8 s)"
+    paid = "12 searches by 3 sets in 3 steps, in 1.0 s (the film: 0.8 s)"
     assert all(paid in " ".join(str(post.at(frame)).split()) for frame in range(4))
     early = ppl.load_posterior(post.at(1).save(tmp_path / "early.nc"))
     assert str(early) == str(post.at(1))  # what came later is still there, and counts for nothing
