@@ -299,10 +299,7 @@ _CATEGORIES: Final = {
 }
 """Columns of the tables -> their headings."""
 
-_CALLED: Final = {
-    "total_error": "total_error (summed distance)",
-    "log_joint": "log_joint (prior x likelihood)",
-}
+_CALLED: Final = {"total_error": "total_error (summed distance)"}
 _OF_WHAT: Final = (
     "P is by the weights; share, with its MCSE, ESS and R-hat, is of the unweighted draws"
 )
