@@ -558,10 +558,8 @@ def answer_lines(
             text = ", ".join(f"{x:g} N ({p:.2f})" for x, p in zip(levels, shares, strict=True))
         else:
             low, high = of.hdi(name).values
-            mean, _, error = str(of.mean(name)).partition(" ± ")
-            text = (
-                f"mean {mean} N (error {error}); 95 % of the posterior in {low:.0f} to {high:.0f} N"
-            )
+            within = f"95 % of the posterior in {low:.0f} to {high:.0f} N"
+            text = f"mean, with its error, {of.mean(name)} N; {within}"
         lines += wrapped("" if place else "strength", f"{agent}: {text}")
     return lines
 

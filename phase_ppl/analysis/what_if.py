@@ -317,7 +317,7 @@ class Change:
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
-            allowed = [] if space.alpha_names else list(ALPHAS)
+            allowed = list(ALPHAS) if space.scenario_names else []
             if tuple(alpha) not in allowed:
                 where = allowed or f"relation= in the world {world.name}"
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")

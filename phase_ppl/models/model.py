@@ -236,7 +236,7 @@ class Model:
 
 def _expected(space: HypothesisSpace) -> dict[str, str]:
     """Return in words what each site of a hypothesis must be."""
-    in_phase = not space.alpha_names
+    in_phase = space.scenario_names
     statement = ("phase_ppl.sites.{}()" if in_phase else "phase_ppl.roles.{}(world)").format
     return {
         **dict.fromkeys(

@@ -308,6 +308,8 @@ def test_a_closed_loop_goes_on_from_its_hypotheses() -> None:
     assert sure.probability(agent, goal)[1] == 1
     shares = np.bincount([goals[0] for goals in sure.goals], minlength=len(scene.world.goals))
     assert shares[scene.world.goal_index(post.top("goal_red", 1)[0][0])] == shares.max()
+    with pytest.raises(InvalidSettingError, match="expected relation= in the world solo"):
+        post.do(alpha=(1, 0))
 
 
 def test_ways_are_found_again_in_what_was_read_of_three_agents() -> None:
